@@ -1,0 +1,43 @@
+"""Extrinsic calibration of two sensors from their trajectories.
+
+``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a from where
+each of them thinks it went. Only NumPy is imported here; CasADi, SciPy and ROS load where they
+are used.
+"""
+
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import (
+    AssociationError,
+    CalibrationError,
+    ConfigError,
+    MotionError,
+    ResultError,
+    SolverError,
+    SourceError,
+    TopicError,
+    TrajectoryError,
+)
+from trajectory_calibration.metrics import AbsoluteErrors, RelativeErrors
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.version import __version__
+
+__all__ = [
+    'AbsoluteErrors',
+    'AssociationError',
+    'CalibrationConfig',
+    'CalibrationError',
+    'CalibrationResult',
+    'ConfigError',
+    'MotionError',
+    'RelativeErrors',
+    'ResultError',
+    'SolverError',
+    'SourceError',
+    'TopicError',
+    'Trajectory',
+    'TrajectoryError',
+    '__version__',
+    'calibrate',
+]

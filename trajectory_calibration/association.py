@@ -1,0 +1,228 @@
+"""Which pose of a belongs to which pose of b: association in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.trajectory import Trajectory
+
+# Two relative motions need three poses; below, no solver has anything to work on.
+MIN_PAIRS = 3
+
+# Stamps closer than this are one instant: hardware triggers and rounding to microseconds.
+COINCIDENCE_NS = 1_000_000
+
+
+@dataclass(frozen=True)
+class AssociationSummary:
+    """How the pairs came about: counts, and how far apart in time their poses were.
+
+    Attributes
+    ----------
+    method : 'nearest' or 'interpolate'.
+    time_offset_s : seconds that were added to the stamps of b.
+    poses_a, poses_b : poses each trajectory held.
+    pairs : pairs that were formed.
+    outside : poses of b before the first or after the last pose of a.
+    in_gaps : poses of b inside the span of a without a pose of a near enough.
+    median_difference_s, max_difference_s : time between a pose of b and the nearest pose of a
+        over the pairs.
+
+    """
+
+    method: str
+    time_offset_s: float
+    poses_a: int
+    poses_b: int
+    pairs: int
+    outside: int
+    in_gaps: int
+    median_difference_s: float
+    max_difference_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class PosePairs:
+    """Poses of a and b at common times.
+
+    Attributes
+    ----------
+    stamps_ns : (K,) int64, in the clock of a, strictly increasing.
+    poses_a : (K, 4, 4), pose of sensor a in the world of a.
+    poses_b : (K, 4, 4), pose of sensor b in the world of b.
+    summary : how they came about.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses_a: FloatArray
+    poses_b: FloatArray
+    summary: AssociationSummary
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+def associate(
+    a: Trajectory,
+    b: Trajectory,
+    *,
+    method: str = 'interpolate',
+    max_difference_ns: int = 20_000_000,
+    max_gap_ns: int = 500_000_000,
+    time_offset_ns: int = 0,
+) -> PosePairs:
+    """Pair the poses of two trajectories over their common time span.
+
+    Parameters
+    ----------
+    a, b : Trajectory
+        The parent and the child sensor.
+    method : 'interpolate' or 'nearest'
+        ``associate_by_interpolation`` or ``associate_nearest``.
+    max_difference_ns : int
+        For 'nearest': the largest difference of stamps in a pair.
+    max_gap_ns : int
+        For 'interpolate': the longest gap of a that is bridged.
+    time_offset_ns : int
+        Added to the stamps of b: the time in the clock of a of a pose of b.
+
+    Raises
+    ------
+    AssociationError
+        No overlap in time, or fewer than three pairs.
+
+    """
+    if method == 'nearest':
+        return associate_nearest(
+            a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
+    return associate_by_interpolation(
+        a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns)
+
+
+def associate_nearest(
+    a: Trajectory, b: Trajectory, *, max_difference_ns: int, time_offset_ns: int = 0,
+) -> PosePairs:
+    """Pair each pose of b with the nearest of a, one to one, within ``max_difference_ns``.
+
+    Two poses are paired when each is the nearest of the other, which leaves no pose in two
+    pairs and needs no order of preference. The stamps of the pairs are those of b in the clock
+    of a.
+    """
+    stamps_b = b.stamps_ns + time_offset_ns
+    _require_overlap(a, stamps_b, b.sensor_frame)
+    nearest_a = _nearest(a.stamps_ns, stamps_b)
+    nearest_b = _nearest(stamps_b, a.stamps_ns)
+    mutual = nearest_b[nearest_a] == np.arange(len(b))
+    near = np.abs(a.stamps_ns[nearest_a] - stamps_b) <= max_difference_ns
+    j = np.flatnonzero(mutual & near)
+    i = nearest_a[j]
+    outside = _outside(a, stamps_b)
+    summary = _summarise(
+        'nearest', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
+        np.count_nonzero(~outside & ~near))
+    _require_pairs(summary, f'no closer than {max_difference_ns * 1e-9:g} s; raise '
+                   'max_time_difference, set time_offset, or use interpolation')
+    return PosePairs(stamps_b[j], a.poses[i], b.poses[j], summary)
+
+
+def associate_by_interpolation(
+    a: Trajectory,
+    b: Trajectory,
+    *,
+    max_gap_ns: int | None,
+    time_offset_ns: int = 0,
+    extrapolate: bool = False,
+) -> PosePairs:
+    """Evaluate a at the stamps of b on the se(3) geodesic between its neighbouring poses.
+
+    Only inside the span of a, and only between poses of a at most ``max_gap_ns`` apart (None:
+    any gap), because a vehicle does not hold its twist over seconds. A pose of b that
+    coincides with one of a needs no neighbour and is kept whatever the gap.
+
+    ``extrapolate`` continues the first and the last twist of a beyond its ends. It exists to
+    repeat the protocol of published tables and is wrong for anything else.
+    """
+    stamps_b = b.stamps_ns + time_offset_ns
+    _require_overlap(a, stamps_b, b.sensor_frame)
+    right = np.clip(np.searchsorted(a.stamps_ns, stamps_b), 1, len(a) - 1)
+    left = right - 1
+    gap = a.stamps_ns[right] - a.stamps_ns[left]
+    outside = _outside(a, stamps_b)
+    since_left = stamps_b - a.stamps_ns[left]
+    to_nearest = np.minimum(np.abs(since_left), np.abs(gap - since_left))
+    bridged = np.ones(len(b), bool) if max_gap_ns is None else gap <= max_gap_ns
+    bridged |= to_nearest <= COINCIDENCE_NS
+    j = np.flatnonzero(bridged if extrapolate else bridged & ~outside)
+    fraction = since_left[j] / gap[j]
+    poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], fraction)
+    summary = _summarise(
+        'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
+        np.count_nonzero(~outside & ~bridged))
+    _require_pairs(summary, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer than '
+                   f'{(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or swap '
+                   'the two trajectories')
+    return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
+
+
+def _nearest(sorted_stamps: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return for each query the index of the nearest of at least two sorted stamps."""
+    right = np.clip(np.searchsorted(sorted_stamps, queries), 1, len(sorted_stamps) - 1)
+    left_is_nearer = queries - sorted_stamps[right - 1] <= sorted_stamps[right] - queries
+    return right - left_is_nearer
+
+
+def _outside(a: Trajectory, stamps_b: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (stamps_b < a.stamps_ns[0]) | (stamps_b > a.stamps_ns[-1])
+
+
+def _require_overlap(a: Trajectory, stamps_b: NDArray[np.int64], name_b: str) -> None:
+    start_a, end_a = int(a.stamps_ns[0]), int(a.stamps_ns[-1])
+    start_b, end_b = int(stamps_b[0]), int(stamps_b[-1])
+    if start_b <= end_a and start_a <= end_b:
+        return
+    order = (f'{a.sensor_frame} ends at {end_a * 1e-9:.3f} s, {name_b} starts at '
+             f'{start_b * 1e-9:.3f} s' if end_a < start_b else
+             f'{name_b} ends at {end_b * 1e-9:.3f} s, {a.sensor_frame} starts at '
+             f'{start_a * 1e-9:.3f} s')
+    offset = (start_a - start_b) * 1e-9
+    raise AssociationError(
+        f'no overlap in time: {order}; looks like an offset of {offset:.3f} s between the '
+        f'starts; if both recorded the same drive, set time_offset to about {offset:.3f}')
+
+
+def _require_pairs(summary: AssociationSummary, why: str) -> None:
+    if summary.pairs < MIN_PAIRS:
+        raise AssociationError(
+            f'only {summary.pairs} pairs of poses from {summary.poses_a} and {summary.poses_b}, '
+            f'needed at least {MIN_PAIRS}: {summary.outside} poses of b lie outside the time of '
+            f'a, {why}')
+
+
+def _summarise(
+    method: str,
+    a: Trajectory,
+    stamps_b: NDArray[np.int64],
+    paired: NDArray[np.intp],
+    time_offset_ns: int,
+    outside: int | np.intp,
+    in_gaps: int | np.intp,
+) -> AssociationSummary:
+    difference = np.abs(a.stamps_ns[_nearest(a.stamps_ns, stamps_b[paired])] - stamps_b[paired])
+    return AssociationSummary(
+        method=method,
+        time_offset_s=time_offset_ns * 1e-9,
+        poses_a=len(a),
+        poses_b=len(stamps_b),
+        pairs=len(paired),
+        outside=int(outside),
+        in_gaps=int(in_gaps),
+        median_difference_s=float(np.median(difference)) * 1e-9 if len(paired) else 0.0,
+        max_difference_s=float(difference.max(initial=0)) * 1e-9,
+    )

@@ -1,0 +1,115 @@
+"""Every setting of a calibration: its default, its range, and what it means.
+
+The command line, the node's parameters and ``config/calibration.yaml`` derive from the fields
+of ``CalibrationConfig``; nothing has a second default anywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.motions import REFERENCE_HELP, parse_reference
+from trajectory_calibration.solvers import SOLVER_NAMES
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of a configuration, as the command line and the node need it.
+
+    Attributes
+    ----------
+    name : the field's name.
+    kind : str, float, int or bool.
+    default : its default.
+    help : one sentence, with the unit.
+    minimum, maximum : the closed range of a number, or None.
+    choices : the valid words, or empty.
+
+    """
+
+    name: str
+    kind: type
+    default: Any
+    help: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: Any) -> Any:
+        """Return the value in this option's type; raise ConfigError where it does not fit."""
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not self.kind:
+            raise ConfigError(
+                f'{self.name} is {value!r}, needed a value of type {self.kind.__name__}')
+        if self.choices and value not in self.choices:
+            raise ConfigError(
+                f'{self.name} {value!r} is unknown; needed one of {", ".join(self.choices)}')
+        if self.kind in (int, float):
+            low = -float('inf') if self.minimum is None else self.minimum
+            high = float('inf') if self.maximum is None else self.maximum
+            # Written so that NaN fails.
+            if not low <= value <= high:
+                raise ConfigError(f'{self.name} is {value}, needed {low:g} to {high:g}')
+        return value
+
+
+def _option(default: Any, text: str, **limits: Any) -> Any:
+    return field(default=default, metadata={'help': text, **limits})
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How to calibrate. Every default of the package lives here.
+
+    Raises
+    ------
+    ConfigError
+        A value of the wrong type or out of its range, with the range in the message.
+
+    """
+
+    solver: str = _option('dnlo', 'method that finds the extrinsic', choices=SOLVER_NAMES)
+    reference: str = _option('B5', f'reference pose of each motion: {REFERENCE_HELP}')
+    association: str = _option(
+        'interpolate', 'how poses of a and b are paired in time',
+        choices=('interpolate', 'nearest'))
+    max_gap: float = _option(
+        0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)
+    max_time_difference: float = _option(
+        0.02, 'largest time between the poses of a pair for nearest, seconds',
+        minimum=0.0, maximum=3600.0)
+    time_offset: float = _option(
+        0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
+    dnlo_c: float = _option(
+        0.01, 'cost c of rejecting a motion (dnlo): squared residual beyond which it is an '
+        'outlier', minimum=0.0, maximum=1e6)
+    dnlo_min_inliers: float = _option(
+        0.5, 'least fraction d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
+
+    def __post_init__(self) -> None:
+        for option in self.options():
+            object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
+        parse_reference(self.reference)
+
+    @classmethod
+    def options(cls) -> Iterator[Option]:
+        """Yield every field with its type, default, help and limits."""
+        for item in fields(cls):
+            yield Option(item.name, type(item.default), item.default, **item.metadata)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> CalibrationConfig:
+        """Build a configuration from names and values; unknown names raise ConfigError."""
+        known = [option.name for option in cls.options()]
+        for name in values:
+            if name not in known:
+                raise ConfigError(f'setting {name!r} is unknown; known are {", ".join(known)}')
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return names and values, ready for YAML or JSON."""
+        return asdict(self)

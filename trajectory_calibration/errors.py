@@ -1,0 +1,43 @@
+"""Every failure the package raises on purpose.
+
+A message says what was found, what was needed, and what to do next, in one line, so that the
+command line can print it as it is and the node can answer a service call with it.
+"""
+
+from __future__ import annotations
+
+
+class CalibrationError(Exception):
+    """Base of all named failures: catch this one to catch them all."""
+
+
+class ConfigError(CalibrationError, ValueError):
+    """A setting is out of its range, misspelt, or contradicts another one."""
+
+
+class TrajectoryError(CalibrationError, ValueError):
+    """Stamps or poses that cannot be a trajectory: wrong shape, not finite, not rotations."""
+
+
+class SourceError(CalibrationError):
+    """A file or a bag cannot be read, or holds something else than what was asked for."""
+
+
+class TopicError(SourceError):
+    """A bag has no such topic, or its type cannot serve as a trajectory."""
+
+
+class AssociationError(CalibrationError):
+    """The two trajectories do not overlap in time, or share too few poses."""
+
+
+class MotionError(CalibrationError):
+    """The motion, or the reference chosen for it, does not determine what was asked for."""
+
+
+class SolverError(CalibrationError):
+    """A solver did not reach a minimum; no answer is better than a wrong one."""
+
+
+class ResultError(CalibrationError):
+    """A saved result cannot be read or written."""

@@ -1,0 +1,117 @@
+"""Relative motions: the reference selections of the paper.
+
+T. Valimaki, B. Garigipati, R. Ghabcheloo, "Motion-Based Extrinsic Sensor-to-Sensor Calibration:
+Effect of Reference Frame Selection for New and Existing Methods", Sensors 23(7):3740, 2023,
+doi:10.3390/s23073740, section III-D.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.association import PosePairs
+from trajectory_calibration.errors import ConfigError, MotionError
+from trajectory_calibration.se3 import FloatArray
+
+REFERENCE_HELP = 'A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n)'
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPairs:
+    """Relative motions of both sensors between the same instants: ``A X = X B``.
+
+    Attributes
+    ----------
+    reference : the selection that made them, 'A', 'B5', 'C10', ...
+    i, j : (M,) indices into ``pairs``: the reference pose and the current pose.
+    A, B : (M, 4, 4), pose j in the frame of pose i, for sensor a and sensor b.
+    pairs : the poses they were made from.
+
+    """
+
+    reference: str
+    i: NDArray[np.intp]
+    j: NDArray[np.intp]
+    A: FloatArray
+    B: FloatArray
+    pairs: PosePairs
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+
+def parse_reference(reference: str) -> tuple[str, int]:
+    """Return the letter and the number of a reference: ('B', 5) of 'B5', ('A', 0) of 'A'.
+
+    Raises
+    ------
+    ConfigError
+        For anything else than 'A', 'B<n>' or 'C<n>' with n >= 1.
+
+    """
+    match = re.fullmatch(r'(A)|([BC])([1-9]\d*)', reference.strip().upper())
+    if match is None:
+        raise ConfigError(f'reference {reference!r} is unknown; needed {REFERENCE_HELP}')
+    return (match[1], 0) if match[1] else (match[2], int(match[3]))
+
+
+def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the (M,) indices i of the reference and j of the current pose of each motion.
+
+    * 'A': i = 0 for every j.
+    * 'B<n>': i = j - n.
+    * 'C<n>': the poses are cut into segments of n; i is the first pose of the segment of j. An
+      incomplete last segment is dropped, as in the paper's data.
+
+    Raises
+    ------
+    ConfigError
+        An unknown reference.
+    MotionError
+        Fewer than two motions: n too large for the number of poses.
+
+    """
+    letter, n = parse_reference(reference)
+    if letter == 'A':
+        j = np.arange(1, poses)
+        i = np.zeros_like(j)
+    elif letter == 'B':
+        j = np.arange(n, poses)
+        i = j - n
+    else:
+        j = np.arange(poses // n * n)
+        j = j[j % n != 0]
+        i = j - j % n
+    if len(j) < 2:
+        advice = ('C1 compares every pose with itself; use C2 or more' if (letter, n) == ('C', 1)
+                  else 'use a smaller n or record longer')
+        raise MotionError(
+            f'reference {reference} leaves {len(j)} motions of {poses} poses, needed at least 2; '
+            f'{advice}')
+    return i, j
+
+
+def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:
+    """Form the relative motions of both sensors for a reference selection.
+
+    Raises
+    ------
+    ConfigError, MotionError
+        As ``reference_indices``.
+
+    """
+    i, j = reference_indices(reference, len(pairs))
+    letter, n = parse_reference(reference)
+    return MotionPairs(
+        reference=f'{letter}{n}' if n else letter,
+        i=i,
+        j=j,
+        A=se3.inverse(pairs.poses_a[i]) @ pairs.poses_a[j],
+        B=se3.inverse(pairs.poses_b[i]) @ pairs.poses_b[j],
+        pairs=pairs,
+    )

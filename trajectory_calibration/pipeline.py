@@ -1,0 +1,95 @@
+"""From two trajectories to an extrinsic: the stages, one a line."""
+
+from __future__ import annotations
+
+from trajectory_calibration.association import AssociationSummary, associate
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.metrics import relative_errors
+from trajectory_calibration.motions import select_motions
+from trajectory_calibration.observability import observe
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.trajectory import Trajectory
+
+# Beyond this share of poses of b without a partner, the result warns: too much was not used.
+_UNPAIRED_SHARE = 0.1
+
+
+def calibrate(
+    trajectory_a: Trajectory,
+    trajectory_b: Trajectory,
+    config: CalibrationConfig | None = None,
+) -> CalibrationResult:
+    """Find the extrinsic between two sensors from their trajectories.
+
+    Parameters
+    ----------
+    trajectory_a : Trajectory
+        Of the parent sensor a.
+    trajectory_b : Trajectory
+        Of the child sensor b.
+    config : CalibrationConfig, optional
+        Settings; the defaults where omitted.
+
+    Returns
+    -------
+    CalibrationResult
+        With ``T_a_b``, the pose of sensor b in sensor a.
+
+    Raises
+    ------
+    CalibrationError
+        One of its subclasses: AssociationError (no common time), MotionError (the motion does
+        not determine the extrinsic), SolverError (no minimum found), ConfigError.
+
+    """
+    config = config or CalibrationConfig()
+    solve = load_solver(config.solver)
+    pairs = associate(
+        trajectory_a,
+        trajectory_b,
+        method=config.association,
+        max_difference_ns=round(config.max_time_difference * 1e9),
+        max_gap_ns=round(config.max_gap * 1e9),
+        time_offset_ns=round(config.time_offset * 1e9),
+    )
+    motions = select_motions(pairs, config.reference)
+    solution = solve(motions, config)
+    metrics = relative_errors(solution.T_a_b, motions)
+    observability = observe(motions)
+    return CalibrationResult(
+        frame_a=trajectory_a.sensor_frame,
+        frame_b=trajectory_b.sensor_frame,
+        T_a_b=solution.T_a_b,
+        covariance=solution.covariance,
+        metrics=metrics,
+        poses=len(pairs),
+        motions=len(motions),
+        inliers=solution.inliers,
+        observability=observability,
+        association=pairs.summary,
+        config=config,
+        warnings=(
+            *trajectory_a.warnings,
+            *trajectory_b.warnings,
+            *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
+            *solution.warnings,
+            *observability.warnings,
+        ),
+    )
+
+
+def _association_warnings(
+    summary: AssociationSummary, a: Trajectory, b: Trajectory,
+) -> list[str]:
+    """Name what the association left unused, where it is much, and frames that cannot be told."""
+    warnings = []
+    for count, where in ((summary.in_gaps, f'fall in gaps of {a.sensor_frame}'),
+                         (summary.outside, f'lie outside the time of {a.sensor_frame}')):
+        share = count / summary.poses_b
+        if share > _UNPAIRED_SHARE:
+            warnings.append(f'{share:.0%} of the poses of {b.sensor_frame} {where}')
+    if a.sensor_frame == b.sensor_frame:
+        warnings.append(f'both sensors are named {a.sensor_frame}: name their frames before '
+                        'publishing the transform')
+    return warnings

@@ -1,0 +1,234 @@
+"""The answer, with everything needed to judge it and to repeat it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.association import AssociationSummary
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import CalibrationError, ResultError
+from trajectory_calibration.metrics import AbsoluteErrors, RelativeErrors, absolute_errors
+from trajectory_calibration.observability import Observability
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.version import __version__
+
+# Raised when a key of the saved form changes its meaning.
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationResult:
+    """The extrinsic of sensor b in sensor a.
+
+    Attributes
+    ----------
+    frame_a, frame_b : names of the parent and the child sensor frame.
+    T_a_b : (4, 4), the pose of sensor b in sensor a, ``p_a = T_a_b @ p_b``, metres.
+    covariance : (6, 6) or None, of translation x, y, z (m) and rotation x, y, z (rad) about the
+        fixed axes of a: ``t = t_hat + dt``, ``R = exp(dtheta) R_hat``.
+    metrics : mean relative errors e_rt (m) and e_rR (rad) over the motions.
+    poses : pairs of poses that were associated.
+    motions : relative motions that were formed from them.
+    inliers : (motions,) bool, the motions that the solver kept, or None where it rejects none.
+    observability : what the motion determined.
+    association : how the poses were paired.
+    config : the settings that were used.
+    warnings : sentences about the data and the answer that a person should read.
+    scale : scale of b's translations that was applied.
+    version : of the package that made the result.
+
+    """
+
+    frame_a: str
+    frame_b: str
+    T_a_b: FloatArray
+    covariance: FloatArray | None
+    metrics: RelativeErrors
+    poses: int
+    motions: int
+    inliers: NDArray[np.bool_] | None
+    observability: Observability
+    association: AssociationSummary
+    config: CalibrationConfig
+    warnings: tuple[str, ...] = ()
+    scale: float = 1.0
+    version: str = __version__
+
+    def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
+        """Return e_at (m) and e_aR (rad) against a known (4, 4) extrinsic."""
+        return absolute_errors(self.T_a_b, np.asarray(T_a_b_true, dtype=np.float64))
+
+    def to_dict(self, T_a_b_true: ArrayLike | None = None) -> dict[str, Any]:
+        """Return plain data, ready for JSON or YAML; keys that do not apply are None.
+
+        ``T_a_b_true`` (4, 4) fills ``e_at_m`` and ``e_aR_deg``.
+        """
+        truth = None if T_a_b_true is None else self.absolute_errors(T_a_b_true)
+        return {
+            'format_version': FORMAT_VERSION,
+            'package_version': self.version,
+            'frame_a': self.frame_a,
+            'frame_b': self.frame_b,
+            'solver': self.config.solver,
+            'reference': self.config.reference,
+            'T_a_b': {
+                'translation': self.T_a_b[:3, 3].tolist(),
+                'rotation_xyzw': se3.rotation_to_quaternion(self.T_a_b[:3, :3]).tolist(),
+            },
+            'covariance': None if self.covariance is None else self.covariance.tolist(),
+            'poses': self.poses,
+            'motions': self.motions,
+            'inliers': None if self.inliers is None else int(np.count_nonzero(self.inliers)),
+            'inlier_motions': None if self.inliers is None else _ranges(self.inliers),
+            'e_rt_m': self.metrics.e_rt,
+            'e_rR_deg': float(np.rad2deg(self.metrics.e_rR)),
+            'e_at_m': None if truth is None else truth.e_at,
+            'e_aR_deg': None if truth is None else float(np.rad2deg(truth.e_aR)),
+            'scale': self.scale,
+            'time_offset_s': self.association.time_offset_s,
+            'observability': self.observability.to_dict(),
+            'association': asdict(self.association),
+            'config': self.config.to_dict(),
+            'warnings': list(self.warnings),
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> CalibrationResult:
+        """Rebuild a result from ``to_dict``.
+
+        Raises
+        ------
+        ResultError
+            Keys missing, of the wrong kind, or of a newer format.
+
+        """
+        try:
+            if data['format_version'] != FORMAT_VERSION:
+                raise ResultError(
+                    f'result has the format {data["format_version"]}, this version reads '
+                    f'{FORMAT_VERSION}; install the version that wrote it '
+                    f'({data.get("package_version")})')
+            pose = data['T_a_b']
+            rotation = se3.quaternion_to_rotation(_finite(pose['rotation_xyzw'], (4,)))
+            covariance = data['covariance']
+            ranges = data['inlier_motions']
+            return cls(
+                frame_a=str(data['frame_a']),
+                frame_b=str(data['frame_b']),
+                T_a_b=se3.from_rotation_translation(rotation, _finite(pose['translation'], (3,))),
+                covariance=None if covariance is None else _finite(covariance, (6, 6)),
+                metrics=RelativeErrors(
+                    float(data['e_rt_m']), float(np.deg2rad(data['e_rR_deg']))),
+                poses=int(data['poses']),
+                motions=int(data['motions']),
+                inliers=None if ranges is None else _mask(ranges, int(data['motions'])),
+                observability=Observability.from_dict(data['observability']),
+                association=AssociationSummary(**{
+                    item.name: data['association'][item.name]
+                    for item in fields(AssociationSummary)}),
+                config=CalibrationConfig.from_dict(data['config']),
+                warnings=tuple(data['warnings']),
+                scale=float(data['scale']),
+                version=str(data['package_version']),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            if isinstance(error, CalibrationError):
+                raise ResultError(f'not a calibration result: {error}') from error
+            raise ResultError(
+                f'not a calibration result: {type(error).__name__}: {error}; needed what '
+                'this package saved') from error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write YAML to ``path``, whole or not at all.
+
+        Raises
+        ------
+        ResultError
+            The file cannot be written; an earlier file at ``path`` is left as it was.
+
+        """
+        write_yaml(Path(path), self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> CalibrationResult:
+        """Read what ``save`` wrote.
+
+        Raises
+        ------
+        ResultError
+            No such file, not YAML, or not a result.
+
+        """
+        # The YAML library loads here because most uses of a result never touch a file.
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
+        try:
+            data = YAML(typ='safe', pure=True).load(Path(path).read_text(encoding='utf-8'))
+        except (OSError, UnicodeDecodeError, YAMLError) as error:
+            raise ResultError(f'{path} cannot be read as a result: {error}') from error
+        if not isinstance(data, dict):
+            raise ResultError(f'{path} holds no calibration result; needed what save() wrote')
+        return cls.from_dict(data)
+
+
+def write_yaml(path: Path, data: dict[str, Any]) -> None:
+    """Write plain data as YAML through a temporary file in the same folder and a rename.
+
+    Raises
+    ------
+    ResultError
+        The file cannot be written.
+
+    """
+    from ruamel.yaml import YAML
+    yaml = YAML(typ='safe', pure=True)
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.default_flow_style = None
+    yaml.width = 99
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(
+                'w', encoding='utf-8', dir=path.parent, prefix=f'.{path.name}.',
+                delete=False) as stream:
+            temporary = Path(stream.name)
+            yaml.dump(data, stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        # mkstemp makes the file private; give it what any new file of this user gets.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+
+
+def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f'found {values!r}, needed {shape} finite numbers')
+    return array
+
+
+def _ranges(mask: NDArray[np.bool_]) -> str:
+    """Write a mask as the ranges that are set, '0-34,37-99': one line for a million motions."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return ','.join(f'{start}-{end - 1}' for start, end in edges.reshape(-1, 2))
+
+
+def _mask(ranges: str, length: int) -> NDArray[np.bool_]:
+    mask = np.zeros(length, dtype=bool)
+    for part in filter(None, ranges.split(',')):
+        start, end = map(int, part.split('-'))
+        mask[start:end + 1] = True
+    return mask

@@ -1,0 +1,196 @@
+"""Rigid motions in three dimensions, over whole arrays.
+
+Conventions, the same everywhere in the package:
+
+* A pose is a (4, 4) homogeneous matrix ``T_a_b``: the pose of b in a, ``p_a = T_a_b @ p_b``.
+* A tangent vector ``xi`` is (6,): translation x, y, z (metres), then rotation x, y, z (radians),
+  the order of the covariance in ``geometry_msgs/PoseWithCovariance``.
+* Quaternions are x, y, z, w.
+* Every function takes any number of leading axes and maps over them.
+
+Formulas: J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics",
+arXiv:1812.01537; T. Barfoot, "State Estimation for Robotics", 2017, section 7.1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+# Below this angle (radians) the closed forms lose digits to cancellation and the Taylor series,
+# cut after the terms kept below, is exact to machine precision.
+_SMALL_ANGLE = 1e-2
+
+
+def skew(vectors: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) matrices with ``skew(v) @ w == cross(v, w)`` of (..., 3) vectors."""
+    v = np.asarray(vectors, dtype=np.float64)
+    result = np.zeros((*v.shape, 3))
+    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return result
+
+
+def from_rotation_translation(rotation: ArrayLike, translation: ArrayLike) -> FloatArray:
+    """Assemble (..., 4, 4) poses from (..., 3, 3) rotations and (..., 3) translations."""
+    R = np.asarray(rotation, dtype=np.float64)
+    t = np.asarray(translation, dtype=np.float64)
+    result = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
+    result[..., :3, :3] = R
+    result[..., :3, 3] = t
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def inverse(poses: ArrayLike) -> FloatArray:
+    """Return the inverses of (..., 4, 4) poses."""
+    T = np.asarray(poses, dtype=np.float64)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return from_rotation_translation(Rt, -np.einsum('...ij,...j->...i', Rt, T[..., :3, 3]))
+
+
+def quaternion_to_rotation(quaternions_xyzw: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) rotations of (..., 4) unit quaternions x, y, z, w."""
+    q = np.asarray(quaternions_xyzw, dtype=np.float64)
+    x, y, z, w = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    R = np.empty((*q.shape[:-1], 3, 3))
+    R[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    R[..., 0, 1] = 2 * (x * y - z * w)
+    R[..., 0, 2] = 2 * (x * z + y * w)
+    R[..., 1, 0] = 2 * (x * y + z * w)
+    R[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    R[..., 1, 2] = 2 * (y * z - x * w)
+    R[..., 2, 0] = 2 * (x * z - y * w)
+    R[..., 2, 1] = 2 * (y * z + x * w)
+    R[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return R
+
+
+def rotation_to_quaternion(rotations: ArrayLike) -> FloatArray:
+    """Return the (..., 4) unit quaternions x, y, z, w (w >= 0) of (..., 3, 3) rotations.
+
+    Of the four ways to read a quaternion off a matrix, the one with the largest pivot is taken,
+    so that no angle, half a turn included, loses digits.
+    """
+    R = np.asarray(rotations, dtype=np.float64)
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    trace = diagonal.sum(-1)
+    # Rows of 4 q q^T, one for each pivot.
+    K = np.empty((*R.shape[:-2], 4, 4))
+    for i in range(3):
+        K[..., i, i] = 1 - trace + 2 * diagonal[..., i]
+    K[..., 3, 3] = 1 + trace
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        K[..., i, j] = K[..., j, i] = R[..., i, j] + R[..., j, i]
+    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
+        K[..., i, 3] = K[..., 3, i] = R[..., j, k] - R[..., k, j]
+    pivot = np.argmax(np.diagonal(K, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(K, pivot[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) rotations of (..., 3) rotation vectors (radians)."""
+    phi = np.asarray(rotation_vectors, dtype=np.float64)
+    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
+    # sin(half) / (2 half) is 0.5 sinc: smooth at zero.
+    q = np.concatenate([0.5 * np.sinc(half / np.pi) * phi, np.cos(half)], axis=-1)
+    return quaternion_to_rotation(q)
+
+
+def log_so3(rotations: ArrayLike) -> FloatArray:
+    """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
+    q = rotation_to_quaternion(rotations)
+    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    # angle / sine tends to 2 as the rotation vanishes.
+    factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
+    return factor * q[..., :3]
+
+
+def rotation_angle(rotations: ArrayLike) -> FloatArray:
+    """Return the (...) angles in [0, pi] of (..., 3, 3) rotations."""
+    return np.linalg.norm(log_so3(rotations), axis=-1)
+
+
+def nearest_rotation(matrices: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) rotations closest to (..., 3, 3) matrices in the Frobenius norm.
+
+    The orthogonal Procrustes solution with the determinant kept at +1: S. Umeyama, IEEE PAMI
+    13(4), 1991, doi:10.1109/34.88573, lemma.
+    """
+    U, _, Vt = np.linalg.svd(np.asarray(matrices, dtype=np.float64))
+    sign = np.sign(np.linalg.det(U @ Vt))
+    U = U.copy()
+    U[..., :, 2] *= sign[..., None]
+    return U @ Vt
+
+
+def _coefficients(phi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - a cot(a / 2) / 2) / a^2."""
+    a2 = np.einsum('...i,...i->...', phi, phi)
+    small = a2 < _SMALL_ANGLE**2
+    s2 = np.where(small, 1.0, a2)
+    a = np.sqrt(s2)
+    half_cot = 0.5 * a * np.cos(0.5 * a) / np.sin(0.5 * a)
+    first = np.where(small, 0.5 - a2 / 24 + a2**2 / 720, (1 - np.cos(a)) / s2)
+    second = np.where(small, 1 / 6 - a2 / 120 + a2**2 / 5040, (a - np.sin(a)) / (a * s2))
+    third = np.where(small, 1 / 12 + a2 / 720 + a2**2 / 30240, (1 - half_cot) / s2)
+    return first, second, third
+
+
+def left_jacobian_so3(rotation_vectors: ArrayLike) -> FloatArray:
+    """Return (..., 3, 3) J with ``exp(phi + d) = exp(J d) exp(phi)`` to first order."""
+    phi = np.asarray(rotation_vectors, dtype=np.float64)
+    first, second, _ = _coefficients(phi)
+    K = skew(phi)
+    return np.eye(3) + first[..., None, None] * K + second[..., None, None] * (K @ K)
+
+
+def left_jacobian_so3_inverse(rotation_vectors: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) inverses of ``left_jacobian_so3``, for angles below 2 pi."""
+    phi = np.asarray(rotation_vectors, dtype=np.float64)
+    third = _coefficients(phi)[2]
+    K = skew(phi)
+    return np.eye(3) - 0.5 * K + third[..., None, None] * (K @ K)
+
+
+def exp_se3(tangents: ArrayLike) -> FloatArray:
+    """Return the (..., 4, 4) poses of (..., 6) tangent vectors."""
+    xi = np.asarray(tangents, dtype=np.float64)
+    rho, phi = xi[..., :3], xi[..., 3:]
+    t = np.einsum('...ij,...j->...i', left_jacobian_so3(phi), rho)
+    return from_rotation_translation(exp_so3(phi), t)
+
+
+def log_se3(poses: ArrayLike) -> FloatArray:
+    """Return the (..., 6) tangent vectors of (..., 4, 4) poses."""
+    T = np.asarray(poses, dtype=np.float64)
+    phi = log_so3(T[..., :3, :3])
+    rho = np.einsum('...ij,...j->...i', left_jacobian_so3_inverse(phi), T[..., :3, 3])
+    return np.concatenate([rho, phi], axis=-1)
+
+
+def adjoint(poses: ArrayLike) -> FloatArray:
+    """Return (..., 6, 6) Ad with ``T exp(xi) = exp(Ad xi) T`` for (..., 4, 4) poses T."""
+    T = np.asarray(poses, dtype=np.float64)
+    R = T[..., :3, :3]
+    result = np.zeros((*T.shape[:-2], 6, 6))
+    result[..., :3, :3] = R
+    result[..., 3:, 3:] = R
+    result[..., :3, 3:] = skew(T[..., :3, 3]) @ R
+    return result
+
+
+def interpolate(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
+    """Return the (..., 4, 4) poses at ``fraction`` (...) of the geodesic from start to end.
+
+    The constant-twist path ``T_0 exp(s log(T_0^-1 T_1))``; a fraction outside [0, 1] continues
+    it, which is what the caller asked for and nothing else in the package does by default.
+    """
+    T_0 = np.asarray(start, dtype=np.float64)
+    s = np.asarray(fraction, dtype=np.float64)
+    return T_0 @ exp_se3(s[..., None] * log_se3(inverse(T_0) @ np.asarray(end)))

@@ -1,0 +1,70 @@
+"""Rotation first, then translation: what the separable solvers share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import MotionError
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.solution import Solution
+
+# The second largest singular value of the aligned rotation vectors, relative to the largest,
+# below which all rotations share one axis but for rounding.
+_SINGLE_AXIS = 1e-9
+
+
+def solve_separable(motions: MotionPairs) -> Solution:
+    """Align the rotation vectors, then solve for the translation.
+
+    The cost of the solution is the sum of squared residuals of the translation, m^2.
+    """
+    R_a_b = align_rotation_vectors(motions)
+    t, cost = solve_translation(R_a_b, motions)
+    return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1)
+
+
+def align_rotation_vectors(motions: MotionPairs) -> FloatArray:
+    """Return the (3, 3) rotation R that minimises ``sum |phi_A - R phi_B|^2``.
+
+    Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
+    ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``.
+
+    Raises
+    ------
+    MotionError
+        The sensors did not turn, or turned about one axis only.
+
+    """
+    phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
+    covariance = phi_a.T @ phi_b
+    U, singular, Vt = np.linalg.svd(covariance)
+    _require_two_axes(singular, U, len(motions))
+    sign = np.sign(np.linalg.det(U @ Vt))
+    rotation: FloatArray = U @ np.diag([1.0, 1.0, sign]) @ Vt
+    return rotation
+
+
+def solve_translation(R_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, float]:
+    """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2."""
+    D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)
+    # The normal equations: D is well conditioned wherever the rotation was accepted, and a
+    # 3 x 3 product costs a tenth of an orthogonal factorisation of all rows.
+    t = np.linalg.solve(D.T @ D, D.T @ right)
+    return t, float(np.sum((D @ t - right) ** 2))
+
+
+def _require_two_axes(singular: FloatArray, axes: FloatArray, motions: int) -> None:
+    largest_angle = np.sqrt(singular[0] / motions)
+    if largest_angle < 1e-9:
+        raise MotionError(
+            f'the sensors did not turn (root mean square {largest_angle:.1g} rad over {motions} '
+            'motions); needed rotation about two axes: drive curves and a ramp or a bank')
+    if singular[1] < _SINGLE_AXIS * singular[0]:
+        x, y, z = axes[:, 0]
+        raise MotionError(
+            f'all rotations share one axis ({x:.2f}, {y:.2f}, {z:.2f} in a); needed rotation '
+            'about two axes: drive a ramp or a bank too, or use a joint solver (dnl) with a '
+            'known translation along that axis')

@@ -1,0 +1,184 @@
+"""A trajectory: where one sensor says that it was, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.se3 import FloatArray
+
+# How far a quaternion's norm, or a rotation matrix's columns, may be from unit length. Up to
+# the first, the deviation is what rounding to six digits leaves and is removed without a word;
+# up to the second it is removed with a warning; beyond, the numbers are not a rotation.
+ROUNDING_TOLERANCE = 1e-5
+ROTATION_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The poses of one sensor in the world of its own SLAM; validated once, then read-only.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64
+        Time of each pose, nanoseconds, strictly increasing.
+    poses : (N, 4, 4) float64
+        ``T_world_sensor`` at each stamp, metres.
+    world_frame, sensor_frame : str
+        Names of the two frames.
+    warnings : tuple of str
+        What was repaired on the way in: samples reordered, duplicates dropped, rotations
+        normalised. Passed on to the result.
+
+    Raises
+    ------
+    TrajectoryError
+        Wrong shapes, fewer than two poses, numbers that are not finite, matrices that are not
+        rigid motions.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    world_frame: str = 'map'
+    sensor_frame: str = 'sensor'
+    warnings: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        stamps_ns, stamp_order, notes = _checked_stamps(self.stamps_ns)
+        poses = np.array(self.poses, dtype=np.float64)
+        if poses.shape != (len(stamps_ns), 4, 4):
+            raise TrajectoryError(
+                f'poses have the shape {poses.shape}, needed ({len(stamps_ns)}, 4, 4) to match '
+                f'{len(stamps_ns)} stamps; pass one homogeneous matrix per stamp')
+        notes += _repair_rotations(poses)
+        if stamp_order is not None:
+            stamps_ns, poses = stamps_ns[stamp_order], poses[stamp_order]
+        if len(stamps_ns) < 2:
+            raise TrajectoryError(
+                f'{self.sensor_frame}: {len(stamps_ns)} pose with a stamp of its own, needed at '
+                'least 2; record while the sensor moves')
+        stamps_ns.setflags(write=False)
+        poses.setflags(write=False)
+        object.__setattr__(self, 'stamps_ns', stamps_ns)
+        object.__setattr__(self, 'poses', poses)
+        object.__setattr__(self, 'warnings', (
+            *self.warnings, *(f'{self.sensor_frame}: {note}' for note in notes)))
+
+    @classmethod
+    def from_quaternions(
+        cls,
+        stamps_ns: ArrayLike,
+        positions: ArrayLike,
+        quaternions_xyzw: ArrayLike,
+        world_frame: str = 'map',
+        sensor_frame: str = 'sensor',
+        warnings: tuple[str, ...] = (),
+    ) -> Trajectory:
+        """Build a trajectory from (N,) stamps, (N, 3) metres, (N, 4) quaternions x, y, z, w.
+
+        Raises
+        ------
+        TrajectoryError
+            As the class, and for quaternions whose norm is off 1 by more than 0.01.
+
+        """
+        p = np.asarray(positions, dtype=np.float64)
+        q = np.asarray(quaternions_xyzw, dtype=np.float64)
+        if p.ndim != 2 or p.shape[1] != 3 or q.shape != (len(p), 4):
+            raise TrajectoryError(
+                f'positions have the shape {p.shape} and quaternions {q.shape}, needed (N, 3) '
+                'and (N, 4)')
+        _require_finite(np.isfinite(p).all(axis=1) & np.isfinite(q).all(axis=1))
+        norm = np.linalg.norm(q, axis=1)
+        note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
+        if note:
+            warnings = (*warnings, f'{sensor_frame}: {note}')
+        R = se3.quaternion_to_rotation(q / norm[:, None])
+        return cls(np.asarray(stamps_ns), se3.from_rotation_translation(R, p),
+                   world_frame, sensor_frame, warnings)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def positions(self) -> FloatArray:
+        """(N, 3) positions of the sensor in its world, metres."""
+        return self.poses[:, :3, 3]
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(N, 3, 3) orientations of the sensor in its world."""
+        return self.poses[:, :3, :3]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first pose to the last."""
+        return float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
+
+
+def _checked_stamps(
+    stamps: ArrayLike,
+) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, list[str]]:
+    """Return the stamps, the order that sorts them and drops duplicates (or None), and notes."""
+    array = np.asarray(stamps)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise TrajectoryError(
+            f'stamps are {array.dtype} of shape {array.shape}, needed one-dimensional integer '
+            'nanoseconds; multiply seconds by 1e9 and round')
+    stamps_ns = np.array(array, dtype=np.int64)
+    steps = np.diff(stamps_ns)
+    if np.all(steps > 0):
+        return stamps_ns, None, []
+    notes = []
+    backwards = int(np.count_nonzero(steps < 0))
+    if backwards:
+        notes.append(f'time ran backwards {backwards} times; the poses were sorted by stamp')
+    order = np.argsort(stamps_ns, kind='stable')
+    first = np.concatenate([[True], np.diff(stamps_ns[order]) > 0])
+    duplicates = int(np.count_nonzero(~first))
+    if duplicates:
+        notes.append(f'{duplicates} poses repeat the stamp of another and were dropped')
+    return stamps_ns, order[first], notes
+
+
+def _repair_rotations(poses: FloatArray) -> list[str]:
+    """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
+    _require_finite(np.isfinite(poses).all(axis=(1, 2)))
+    if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
+        raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
+    R = poses[:, :3, :3]
+    deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    deviation = np.where(np.linalg.det(R) > 0, deviation, np.inf)
+    note = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
+    if deviation.max(initial=0.0) > 1e-14:
+        poses[:, :3, :3] = se3.nearest_rotation(R)
+    poses[:, 3] = [0, 0, 0, 1]
+    return [note] if note else []
+
+
+def _require_finite(finite: NDArray[np.bool_]) -> None:
+    if not finite.all():
+        raise TrajectoryError(
+            f'pose {int(np.argmin(finite))} is not finite ({np.count_nonzero(~finite)} of '
+            f'{len(finite)} are not); remove what the SLAM wrote while it was lost')
+
+
+def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str | None:
+    """Return a warning if the worst deviation deserves one; raise beyond the tolerance."""
+    if not len(deviation):
+        return None
+    k = int(np.argmax(deviation))
+    worst = float(deviation[k])
+    if worst > ROTATION_TOLERANCE:
+        raise TrajectoryError(
+            f'pose {k}: {what} is {shown[k]:.6g}, off by more than {ROTATION_TOLERANCE}; is the '
+            'order x, y, z, w (not w first), and are the columns the right ones?')
+    if worst <= ROUNDING_TOLERANCE:
+        return None
+    count = int(np.count_nonzero(deviation > ROUNDING_TOLERANCE))
+    return f'{count} rotations were normalised (off by up to {worst:.2g})'
