@@ -65,8 +65,9 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
 
     * 'A': i = 0 for every j.
     * 'B<n>': i = j - n.
-    * 'C<n>': the poses are cut into segments of n; i is the first pose of the segment of j. An
-      incomplete last segment is dropped, as in the paper's data.
+    * 'C<n>': the poses are cut into segments of n; i is the first pose of the segment of j. A
+      segment counts once the next one has begun, so that the last is dropped even where it is
+      complete: with that, and only with that, the published figures come out to the digit.
 
     Raises
     ------
@@ -84,7 +85,7 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
         j = np.arange(n, poses)
         i = j - n
     else:
-        j = np.arange(poses // n * n)
+        j = np.arange(len(range(0, poses - n, n)) * n)
         j = j[j % n != 0]
         i = j - j % n
     if len(j) < 2:

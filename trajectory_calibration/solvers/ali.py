@@ -1,0 +1,31 @@
+"""Ali: the translation rows of ``A X = X B`` over unit quaternion and translation.
+
+I. Ali, O. Suominen, A. Gotchev, E. R. Morales, "Methods for Simultaneous Robot-World-Hand-Eye
+Calibration: A Comparative Study", Sensors 19(12):2837, 2019, doi:10.3390/s19122837, cost Xc1; as
+replicated in doi:10.3390/s23073740, section III-C. There the norm of a unit quaternion stands
+where the rotation rows would act, which is constant, so that the cost is
+
+    sum |R_A t + t_A - (R t_B + t)|^2.
+
+It is minimised over the rotation itself rather than over a quaternion's four numbers: the minimum
+is the same, and there is no scale left free.
+"""
+
+from __future__ import annotations
+
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers.solution import Solution
+
+_TRANSLATION = slice(9, 12)
+
+
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the extrinsic of lowest cost (m^2); raises MotionError for a free direction."""
+    del config  # nothing to set
+    G = quadratic.gram(motions, _TRANSLATION)
+    quadratic.require_translation(G, len(motions))
+    minimum = quadratic.minimise(G)
+    T_a_b = quadratic.polish(minimum.T_a_b, motions, _TRANSLATION)
+    return Solution(T_a_b, minimum.cost, minimum.iterations)

@@ -1,0 +1,103 @@
+"""DNL: direct nonlinear least squares, the first of the two solvers the paper proposes.
+
+T. Valimaki, B. Garigipati, R. Ghabcheloo, "Motion-Based Extrinsic Sensor-to-Sensor Calibration:
+Effect of Reference Frame Selection for New and Existing Methods", Sensors 23(7):3740, 2023,
+doi:10.3390/s23073740, section III-B:
+
+    min over (theta, t) of  sum |M_ij|^2,   M_ij = A_ij X(theta, t) - X(theta, t) B_ij,
+
+the Frobenius norm of the upper three rows, theta a rotation vector, with CasADi and Ipopt.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import SolverError
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers.solution import Solution
+
+# Quiet, and tight: one iteration costs microseconds, digits are worth more.
+IPOPT_OPTIONS = {
+    'print_time': False,
+    'ipopt.print_level': 0,
+    'ipopt.sb': 'yes',
+    'ipopt.tol': 1e-12,
+    'ipopt.max_iter': 200,
+}
+
+
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the extrinsic of lowest cost (rotation entries squared + m^2).
+
+    Raises
+    ------
+    MotionError
+        The motion leaves a direction of the extrinsic free; the message names it.
+    SolverError
+        Ipopt stopped before a minimum.
+
+    """
+    del config  # nothing to set
+    G = quadratic.gram(motions)
+    quadratic.require_translation(G, len(motions))
+    # The cost is not convex in the rotation: Ipopt starts where a search over all of SO(3) ends.
+    start = quadratic.minimise(G).T_a_b
+    T_a_b, cost, iterations = minimise_with_ipopt(G, start)
+    return Solution(quadratic.polish(T_a_b, motions), cost, iterations)
+
+
+def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, float, int]:
+    """Minimise ``v^T G v`` over (theta, t) from a (4, 4) start; return X, cost, iterations."""
+    # Ipopt's tolerances are absolute: give it a form with entries of order one.
+    scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
+    solver = _program()
+    found = solver(x0=np.concatenate([np.zeros(3), start[:3, 3]]),
+                   p=np.concatenate([(G / scale).ravel(), start[:3, :3].ravel()]))
+    stats = solver.stats()
+    if not stats['success']:
+        raise SolverError(
+            f'Ipopt stopped with {stats["return_status"]} after {stats["iter_count"]} iterations; '
+            'use solver park, or check the trajectories with inspect')
+    x = found['x'].full().ravel()
+    T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]) @ start[:3, :3], x[3:])
+    return T_a_b, float(found['f']) * scale, int(stats['iter_count'])
+
+
+@lru_cache(maxsize=1)
+def _program() -> Any:
+    """Build the nonlinear program once; the Gram matrix and the start are its parameters."""
+    import casadi as ca  # a third of a second, for those who use it
+    theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
+    G, R_start = ca.SX.sym('G', 169), ca.SX.sym('R_start', 9)
+    v = symbolic_monomials(ca, theta, t, R_start)
+    cost = ca.dot(v, ca.mtimes(ca.reshape(G, 13, 13), v))
+    return ca.nlpsol(
+        'dnl', 'ipopt',
+        {'x': ca.vertcat(theta, t), 'p': ca.vertcat(G, R_start), 'f': cost}, IPOPT_OPTIONS)
+
+
+def symbolic_monomials(ca: Any, theta: Any, t: Any, R_start: Any) -> Any:
+    """Return v = (vec(exp(theta) R_start), t, 1) as CasADi expressions, R row by row.
+
+    The rotation vector is relative to the start, and the coefficients of Rodrigues' formula
+    switch to their series at zero, where the square root has no derivative.
+    """
+    square = ca.dot(theta, theta)
+    small = square < 1e-8
+    # The argument is moved off zero where its branch is not taken: a NaN there would pass
+    # through the derivative of if_else.
+    angle = ca.sqrt(ca.if_else(small, 1.0, square))
+    sine = ca.if_else(small, 1 - square / 6, ca.sin(angle) / angle)
+    cosine = ca.if_else(small, 0.5 - square / 24, (1 - ca.cos(angle)) / angle**2)
+    K = ca.skew(theta)
+    R = (ca.SX.eye(3) + sine * K + cosine * ca.mtimes(K, K))
+    R = ca.mtimes(R, ca.reshape(R_start, 3, 3).T)
+    return ca.vertcat(ca.vec(R.T), t, 1)

@@ -1,0 +1,131 @@
+"""Zhuang: Gauss-Newton in z = tan(w/2) k and the translation, through the identification Jacobian.
+
+H. Zhuang, Z. Qu, "A New Identification Jacobian for Robotic Hand/Eye Calibration", IEEE
+Transactions on Systems, Man, and Cybernetics 24(8), 1994, doi:10.1109/21.299711, equations 14
+and 16; as replicated in doi:10.3390/s23073740, section III-C. With the axes k of the rotations
+of a motion, ``u = (R_A - I) t + t_A`` and [x] the skew matrix of x, each motion gives
+
+    f = [k_A + k_B] z - k_B + k_A        (rotation, eq. 14a)
+    g = [u + t_B] z - t_B + u            (translation, eq. 14b)
+
+and the sum of squares of f and g is minimised. Both are linear in the 16 products of (z, 1) and
+(t, 1), so that the cost is a quadratic form in these and an iteration costs the same for any
+number of motions.
+
+The cost grows with tan(w/2) of the rotation between the sensors and has no finite value at half
+a turn. Published results start at the identity; this solver starts at Kabsch's rotation, which
+converges wherever a minimum exists. Near half a turn it first turns sensor b by that rotation, so
+that z is small; the minimum then belongs to those coordinates.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.separable import solve_separable
+from trajectory_calibration.solvers.solution import Solution
+
+# Rotation between the sensors from which the coordinates are turned (radians).
+_NEAR_HALF_TURN = np.deg2rad(179.9)
+
+# Rotation between the sensors from which the result warns: z is then longer than one.
+_LARGE_ROTATION = np.deg2rad(90.0)
+
+# A motion that turns less than this (radians) has no axis; only its translation is used.
+_NO_AXIS = 1e-9
+
+_MAX_ITERATIONS = 500
+_STEP_TOLERANCE = 1e-12
+
+
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the extrinsic at the minimum next to the separable solution.
+
+    Raises
+    ------
+    MotionError
+        Rotation about fewer than two axes.
+    SolverError
+        No convergence.
+
+    """
+    del config  # nothing to set
+    start = solve_separable(motions).T_a_b
+    angle = float(se3.rotation_angle(start[:3, :3]))
+    turned = angle > _NEAR_HALF_TURN
+    R_turn = start[:3, :3] if turned else np.eye(3)
+    S = _gram(motions, R_turn)
+    z, t, cost, iterations = _gauss_newton(S, _to_z(start[:3, :3] @ R_turn.T), start[:3, 3])
+    T_a_b = se3.from_rotation_translation(_from_z(z) @ R_turn, t)
+    warnings = ()
+    if angle > _LARGE_ROTATION:
+        warnings = (
+            f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each other'
+            ', where its parameter grows and magnifies noise' + (
+                ' without bound; solved in turned coordinates' if turned else '')
+            + '; prefer dnl or dnlo',)
+    return Solution(T_a_b, cost, iterations, warnings=warnings)
+
+
+def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:
+    """Return the (16, 16) Gram matrix in (z_i t_j row by row, z, t, 1), b turned by R_turn."""
+    phi_a = se3.log_so3(motions.A[:, :3, :3])
+    phi_b = se3.log_so3(motions.B[:, :3, :3]) @ R_turn.T
+    t_a, t_b = motions.A[:, :3, 3], motions.B[:, :3, 3] @ R_turn.T
+    angle_a, angle_b = np.linalg.norm(phi_a, axis=1), np.linalg.norm(phi_b, axis=1)
+    turns = (angle_a > _NO_AXIS) & (angle_b > _NO_AXIS)
+    k_a = phi_a[turns] / angle_a[turns, None]
+    k_b = phi_b[turns] / angle_b[turns, None]
+    f = np.zeros((len(k_a), 3, 16))
+    f[:, :, 9:12] = se3.skew(k_a + k_b)
+    f[:, :, 15] = k_a - k_b
+    D = motions.A[:, :3, :3] - np.eye(3)
+    g = np.zeros((len(t_a), 3, 16))
+    for j in range(3):
+        # [D e_j t_j] z: column i of the skew matrix multiplies z_i t_j.
+        g[:, :, [j, 3 + j, 6 + j]] = se3.skew(D[:, :, j])
+    g[:, :, 9:12] = se3.skew(t_a + t_b)
+    g[:, :, 12:15] = D
+    g[:, :, 15] = t_a - t_b
+    rows = np.concatenate([f, g]).reshape(-1, 16)
+    S: FloatArray = rows.T @ rows
+    return S
+
+
+def _gauss_newton(
+    S: FloatArray, z: FloatArray, t: FloatArray,
+) -> tuple[FloatArray, FloatArray, float, int]:
+    for iteration in range(1, _MAX_ITERATIONS + 1):
+        m = np.concatenate([np.outer(z, t).ravel(), z, t, [1.0]])
+        J = np.zeros((16, 6))
+        J[:9, :3] = np.kron(np.eye(3), t[:, None])
+        J[:9, 3:] = np.kron(z[:, None], np.eye(3))
+        J[9:15] = np.eye(6)
+        H = J.T @ S @ J
+        if np.linalg.cond(H) > 1e15:
+            raise MotionError(
+                'the motion leaves a direction of the extrinsic free at the minimum of zhuang; '
+                'drive a ramp or a bank too, and see which direction with solver dnl')
+        step = -np.linalg.solve(H, J.T @ (S @ m))
+        z, t = z + step[:3], t + step[3:]
+        if np.linalg.norm(step) <= _STEP_TOLERANCE * (1 + np.linalg.norm(z) + np.linalg.norm(t)):
+            return z, t, float(m @ S @ m), iteration
+    raise SolverError(
+        f'zhuang did not converge in {_MAX_ITERATIONS} iterations; use solver dnl or dnlo')
+
+
+def _to_z(R: FloatArray) -> FloatArray:
+    """Return z = tan(w/2) k of a rotation: the vector part of its quaternion over the scalar."""
+    q = se3.rotation_to_quaternion(R)
+    z: FloatArray = q[:3] / q[3]
+    return z
+
+
+def _from_z(z: FloatArray) -> FloatArray:
+    q = np.append(z, 1.0)
+    return se3.quaternion_to_rotation(q / np.linalg.norm(q))
