@@ -1,0 +1,69 @@
+"""Options that several subcommands share: every setting of a calibration."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from trajectory_calibration.config import CalibrationConfig, Option
+from trajectory_calibration.errors import ConfigError
+
+
+def add_config_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--config FILE`` and one option for each field of CalibrationConfig."""
+    group = parser.add_argument_group('settings of the calibration')
+    group.add_argument(
+        '--config', type=Path, metavar='FILE',
+        help='YAML with settings by name, or a saved result to repeat; options given here win')
+    for option in CalibrationConfig.options():
+        _add_option(group, option)
+
+
+def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
+    """Return the defaults, overridden by ``--config``, overridden by the options.
+
+    Raises
+    ------
+    ConfigError
+        A setting that is unknown or out of range, or a file that holds no settings.
+
+    """
+    values = {} if arguments.config is None else _read_settings(arguments.config)
+    given = vars(arguments)
+    values.update({
+        option.name: given[option.name] for option in CalibrationConfig.options()
+        if option.name in given})
+    return CalibrationConfig.from_dict(values)
+
+
+def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
+    # argparse expands % in a help text.
+    text = f'{option.help} (default: {option.default})'.replace('%', '%%')
+    flag = f'--{option.name.replace("_", "-")}'
+    # An option that was not given leaves no attribute: --config may have set it.
+    if option.kind is bool:
+        group.add_argument(
+            flag, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=text)
+    elif option.choices:
+        group.add_argument(
+            flag, choices=option.choices, default=argparse.SUPPRESS, help=text)
+    else:
+        metavar = {int: 'N', float: 'X'}.get(option.kind, 'TEXT')
+        group.add_argument(
+            flag, type=option.kind, metavar=metavar, default=argparse.SUPPRESS, help=text)
+
+
+def _read_settings(path: Path) -> dict[str, Any]:
+    # The YAML library loads here because most runs need none.
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+    try:
+        data = YAML(typ='safe', pure=True).load(path.read_text(encoding='utf-8'))
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
+        raise ConfigError(f'{path} cannot be read as settings: {error}') from error
+    if isinstance(data, dict) and 'format_version' in data:
+        data = data.get('config')
+    if not isinstance(data, dict):
+        raise ConfigError(f'{path} holds no settings; needed lines such as "solver: dnlo"')
+    return {str(name): value for name, value in data.items()}

@@ -1,0 +1,103 @@
+"""A result as a person reads it on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from io import StringIO
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.observability import Observability
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.se3 import FloatArray
+
+
+def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = None) -> str:
+    """Return the screen of a result: warnings, the transform, how good it is, how it was made."""
+    a, b = result.frame_a, result.frame_b
+    R, t = result.T_a_b[:3, :3], result.T_a_b[:3, 3]
+    rows = {
+        'translation': f'{_named(t, "xyz", 4)} m',
+        'quaternion': _named(se3.rotation_to_quaternion(R), 'xyzw', 6),
+        'rotation': f'{_named(_roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
+    }
+    if result.covariance is not None:
+        sigma = np.sqrt(np.diagonal(result.covariance))
+        rows['1 sigma'] = (f'{_named(sigma[:3], "xyz", 4)} m, rotation about '
+                           f'{_named(np.rad2deg(sigma[3:]), "xyz", 3)} deg')
+    rows['relative error'] = (f'{result.metrics.e_rt:.4f} m, '
+                              f'{np.rad2deg(result.metrics.e_rR):.3f} deg, mean over the motions')
+    if T_a_b_true is not None:
+        error = result.absolute_errors(T_a_b_true)
+        rows['absolute error'] = (f'{error.e_at:.4f} m, {np.rad2deg(error.e_aR):.3f} deg, '
+                                  'against the ground truth')
+    rows['turned about'] = (
+        f'{_named(result.observability.excitation_deg, "xyz", 2)} deg, axes of {a}, root mean '
+        'square per motion')
+    rows['shift seen'] = _describe_gain(result.observability)
+    rows['data'] = _describe_data(result)
+    if result.scale != 1.0:
+        rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
+    if result.association.time_offset_s:
+        rows['time offset'] = f'{result.association.time_offset_s:.4f} s on {b}'
+    rows['method'] = (f'{result.config.solver}, reference {result.config.reference}, version '
+                      f'{result.version}')
+    lines = [f'warning: {warning}' for warning in result.warnings]
+    if lines:
+        lines.append('')
+    lines.append(f'Pose of {b} in {a}')
+    lines += _aligned(rows)
+    return '\n'.join(lines) + '\n'
+
+
+def to_yaml(data: dict[str, Any]) -> str:
+    """Return plain data as YAML."""
+    # The YAML library loads here because most runs need none.
+    from ruamel.yaml import YAML
+    yaml = YAML(typ='safe', pure=True)
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.default_flow_style = None
+    yaml.width = 99
+    stream = StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()
+
+
+def _describe_gain(observability: Observability) -> str:
+    """Return how much a shift of b would change the residuals, weakest direction first."""
+    return ', '.join(
+        f'{gain:.3f} along ({", ".join(f"{component:.2f}" for component in axis)})'
+        for gain, axis in zip(
+            observability.translation_gain, observability.translation_axes, strict=True)
+    ) + ' m of residual per metre'
+
+
+def _describe_data(result: CalibrationResult) -> str:
+    summary = result.association
+    kept = '' if result.inliers is None else f', {np.count_nonzero(result.inliers)} kept'
+    return (f'{result.poses} pairs ({summary.method}) of {summary.poses_a} and '
+            f'{summary.poses_b} poses, {result.motions} motions{kept}')
+
+
+def _roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
+    """Return the angles about the fixed x, then y, then z axis, as URDF and tf write them."""
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        # Roll and yaw turn about the same axis there; yaw takes none of it.
+        roll, yaw = np.arctan2(-R[1, 2], R[1, 1]), 0.0
+    else:
+        roll, yaw = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
+    angles: FloatArray = np.rad2deg(np.array([roll, pitch, yaw]))
+    return angles
+
+
+def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
+    return '  '.join(
+        f'{name} {value:.{digits}f}' for name, value in zip(names, values, strict=True))
+
+
+def _aligned(rows: dict[str, str]) -> list[str]:
+    width = max(map(len, rows))
+    return [f'  {name:<{width}}  {value}' for name, value in rows.items()]

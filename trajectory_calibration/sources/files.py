@@ -1,0 +1,311 @@
+"""Trajectories in text files: TUM, KITTI and EuRoC.
+
+============ ============================================================== =================
+format       a row                                                          time
+============ ============================================================== =================
+``tum``      ``t x y z qx qy qz qw``, separated by spaces                   seconds
+``kitti``    the first three rows of ``T_world_sensor``, 12 numbers         in a second file
+``euroc``    ``t,x,y,z,qw,qx,qy,qz,...``, separated by commas               nanoseconds
+============ ============================================================== =================
+
+Blank lines and lines that begin with ``#`` are skipped. Rows that are not finite, or whose
+quaternion is all zeros, are what a SLAM writes while it is lost: they are dropped with a
+warning. A last line without an end of line and with too few numbers is what a recorder leaves
+when it is killed: dropped with a warning too. Anything else that does not fit is a
+``SourceError`` that names the file and the line.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import SourceError, TrajectoryError
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
+
+FORMATS = ('tum', 'kitti', 'euroc')
+
+_COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
+_BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
+_INT64_MAX = 2**63 - 1
+
+
+@dataclass(frozen=True)
+class FileSource:
+    """A trajectory in a text file.
+
+    Attributes
+    ----------
+    path : the file.
+    file_format : 'tum', 'kitti' or 'euroc'; told from the first row where None.
+    times : for KITTI, a file with one time in seconds per pose.
+    sensor_frame, world_frame : names, which no format carries.
+
+    """
+
+    path: Path
+    file_format: str | None = None
+    times: Path | None = None
+    sensor_frame: str = 'sensor'
+    world_frame: str = 'map'
+
+    def load(self) -> Trajectory:
+        """Read the file.
+
+        Raises
+        ------
+        SourceError
+            The file cannot be read, is empty, is not text, or a line of it does not fit.
+
+        """
+        table = _Table.read(self.path)
+        file_format = self.file_format or _detect_format(table)
+        if file_format == 'kitti' and self.times is None:
+            raise SourceError(
+                f'{self.path} holds KITTI poses, which carry no time; give the file of their '
+                'times as well, one number of seconds a line')
+        if file_format != 'kitti' and self.times is not None:
+            raise SourceError(
+                f'{self.path} is read as {file_format}, which carries its own times; leave '
+                f'{self.times} out, or say that the format is kitti')
+        try:
+            if file_format == 'kitti' and self.times is not None:
+                return self._kitti(table, _Table.read(self.times))
+            return self._quaternions(table, file_format)
+        except TrajectoryError as error:
+            raise SourceError(f'{self.path}: {error}') from error
+
+    def _quaternions(self, table: _Table, file_format: str) -> Trajectory:
+        to_stamp = _seconds_to_ns if file_format == 'tum' else _integer_ns
+        order = [4, 5, 6, 7] if file_format == 'tum' else _euroc_quaternion_columns(table)
+        rows = table.parse(_COLUMNS[file_format], to_stamp, more=file_format == 'euroc')
+        quaternions = rows.values[:, order]
+        lost = ~np.isfinite(rows.values[:, 1:8]).all(axis=1) | (quaternions == 0).all(axis=1)
+        with np.errstate(over='ignore', invalid='ignore'):
+            norm = np.linalg.norm(quaternions, axis=1)
+            wrong = ~lost & ~(np.abs(norm - 1) <= ROTATION_TOLERANCE)
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            raise SourceError(
+                f'{self.path}, line {rows.line_numbers[k]}: the norm of the quaternion is '
+                f'{norm[k]:.6g}, needed 1; is the file in the format {file_format}, with the '
+                f'quaternion in the order {"x, y, z, w" if file_format == "tum" else "w, x, y, z"}'
+                '?')
+        keep = ~lost
+        return Trajectory.from_quaternions(
+            rows.stamps_ns[keep], rows.values[keep, 1:4], quaternions[keep],
+            self.world_frame, self.sensor_frame,
+            self._warnings([*table.notes, *_lost_note(lost)]))
+
+    def _kitti(self, table: _Table, times: _Table) -> Trajectory:
+        rows = table.parse(_COLUMNS['kitti'], None)
+        stamps = times.parse(1, _seconds_to_ns)
+        poses, count = len(rows.values), len(stamps.stamps_ns)
+        if poses != count:
+            raise SourceError(
+                f'{self.path} holds {poses} poses and {self.times} {count} times; needed one time '
+                'for each pose')
+        lost = ~np.isfinite(rows.values).all(axis=1) | ~np.isfinite(stamps.values[:, 0])
+        T = np.zeros((poses, 4, 4))
+        T[:, :3] = rows.values.reshape(-1, 3, 4)
+        T[:, 3, 3] = 1.0
+        return Trajectory(
+            stamps.stamps_ns[~lost], T[~lost], self.world_frame, self.sensor_frame,
+            self._warnings([*table.notes, *times.notes, *_lost_note(lost)]))
+
+    def _warnings(self, notes: list[str]) -> tuple[str, ...]:
+        return tuple(f'{self.sensor_frame}: {self.path}: {note}' for note in notes)
+
+
+def read_transform(path: str | os.PathLike[str]) -> FloatArray:
+    """Read one (4, 4) transform, the pose of b in a, from a file.
+
+    Either one row ``[t] x y z qx qy qz qw`` (metres; the stamp is ignored), or a result that
+    this package saved.
+
+    Raises
+    ------
+    SourceError, ResultError
+        The file cannot be read, or holds neither.
+
+    """
+    table = _Table.read(Path(path))
+    if b':' in table.lines[0]:
+        # Loaded here because a result is what the sources feed, not what they are made of.
+        from trajectory_calibration.result import CalibrationResult
+        return CalibrationResult.load(path).T_a_b
+    if len(table.lines) != 1:
+        raise SourceError(
+            f'{path} holds {len(table.lines)} rows, needed one transform: [t] x y z qx qy qz qw, '
+            'or a saved result')
+    width = len(table.lines[0].split())
+    if width not in (7, 8):
+        raise SourceError(
+            f'{path}, line {table.line_numbers[0]}: {width} numbers, needed 7 or 8: '
+            '[t] x y z qx qy qz qw')
+    values = table.parse(width, None).values[0, width - 7:]
+    norm = float(np.linalg.norm(values[3:]))
+    if not np.isfinite(values).all() or not abs(norm - 1) <= ROTATION_TOLERANCE:
+        raise SourceError(
+            f'{path}, line {table.line_numbers[0]}: {values.tolist()} is no transform, needed '
+            'x y z qx qy qz qw with a quaternion of norm 1')
+    return se3.from_rotation_translation(
+        se3.quaternion_to_rotation(values[3:] / norm), values[:3])
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Numbers of a table: (N, columns) values, (N,) stamps or zeros, (N,) line numbers."""
+
+    values: FloatArray
+    stamps_ns: NDArray[np.int64]
+    line_numbers: list[int]
+
+
+@dataclass
+class _Table:
+    """The rows of a text file that are neither blank nor comments.
+
+    Attributes
+    ----------
+    path : the file.
+    lines, line_numbers : the rows and their numbers in the file, from 1.
+    comments : the comment lines.
+    complete : whether the last line of the file has an end.
+    notes : what was repaired.
+
+    """
+
+    path: Path
+    lines: list[bytes]
+    line_numbers: list[int]
+    comments: list[bytes]
+    complete: bool
+    notes: list[str]
+
+    @classmethod
+    def read(cls, path: Path) -> _Table:
+        if path.is_dir() or path.suffix in _BAG_SUFFIXES:
+            raise SourceError(
+                f'{path} is a bag or a folder, needed a text file (TUM, KITTI, EuRoC); for a bag '
+                'name two of its topics and give the bag with --bag')
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise SourceError(f'{path} cannot be read: {error.strerror or error}') from error
+        if b'\0' in data:
+            raise SourceError(
+                f'{path} is not text: it holds a zero byte at {data.index(0)}; needed a TUM, '
+                'KITTI or EuRoC file')
+        data = data.removeprefix(b'\xef\xbb\xbf')
+        table = cls(path, [], [], [], data.endswith((b'\n', b'\r')), [])
+        for number, line in enumerate(map(bytes.strip, data.splitlines()), start=1):
+            if line.startswith(b'#'):
+                table.comments.append(line)
+            elif line:
+                table.lines.append(line)
+                table.line_numbers.append(number)
+        if not table.lines:
+            raise SourceError(
+                f'{path} holds no poses ({len(data)} bytes); needed a TUM, KITTI or EuRoC file')
+        return table
+
+    def parse(
+        self, columns: int, to_stamp: Callable[[bytes], int] | None, *, more: bool = False,
+    ) -> _Rows:
+        """Turn the rows into numbers; ``more`` allows further columns, which are ignored."""
+        self._drop_incomplete_end(columns)
+        separator = b',' if b',' in self.lines[0] else None
+        count = len(self.lines)
+        values = np.empty((count, columns))
+        stamps_ns = np.zeros(count, dtype=np.int64)
+        for k, line in enumerate(self.lines):
+            fields = line.split(separator)
+            if len(fields) != columns and not (more and len(fields) > columns):
+                raise self._wrong(
+                    k, f'{len(fields)} columns, needed {"at least " * more}{columns}')
+            try:
+                values[k] = [float(field) for field in fields[:columns]]
+            except ValueError:
+                raise self._wrong(k, f'needed {columns} numbers') from None
+            if to_stamp is not None and np.isfinite(values[k, 0]):
+                try:
+                    stamps_ns[k] = to_stamp(fields[0])
+                except (ValueError, InvalidOperation) as error:
+                    raise self._wrong(k, f'the time {_shown(fields[0])} {error}') from None
+        return _Rows(values, stamps_ns, self.line_numbers)
+
+    def _drop_incomplete_end(self, columns: int) -> None:
+        if self.complete or len(self.lines) < 2:
+            return
+        separator = b',' if b',' in self.lines[0] else None
+        if len(self.lines[-1].split(separator)) < columns:
+            self.notes.append(f'the last line, {self.line_numbers[-1]}, is cut off: dropped')
+            del self.lines[-1], self.line_numbers[-1]
+
+    def _wrong(self, k: int, what: str) -> SourceError:
+        return SourceError(
+            f'{self.path}, line {self.line_numbers[k]}: {what}; found {_shown(self.lines[k])}')
+
+
+def _detect_format(table: _Table) -> str:
+    first = table.lines[0]
+    if b',' in first:
+        fields = first.split(b',')
+        if len(fields) >= _COLUMNS['euroc'] and fields[0].strip().isdigit():
+            return 'euroc'
+    else:
+        width = len(first.split())
+        if width == _COLUMNS['tum']:
+            return 'tum'
+        if width == _COLUMNS['kitti']:
+            return 'kitti'
+    raise SourceError(
+        f'{table.path}, line {table.line_numbers[0]}: no known format; needed 8 numbers (TUM), 12 '
+        'numbers (KITTI), or integer nanoseconds and 7 numbers separated by commas (EuRoC); '
+        f'found {_shown(first)}')
+
+
+def _euroc_quaternion_columns(table: _Table) -> list[int]:
+    """Return the columns of x, y, z, w: w comes first unless the header says that it is last."""
+    for comment in table.comments:
+        names = comment.lower().split(b',')
+        if len(names) >= 8 and b'w' in names[7] and b'w' not in names[4]:
+            table.notes.append('the header names qw last: read as x, y, z, w')
+            return [4, 5, 6, 7]
+    return [5, 6, 7, 4]
+
+
+def _seconds_to_ns(field: bytes) -> int:
+    """Return exact integer nanoseconds of seconds in decimal; a float would lose 100 ns."""
+    stamp_ns = round(Decimal(field.decode('ascii')).scaleb(9))
+    if abs(stamp_ns) > _INT64_MAX:
+        raise ValueError('is out of range, needed seconds; are these nanoseconds?')
+    return stamp_ns
+
+
+def _integer_ns(field: bytes) -> int:
+    if not field.strip().isdigit():
+        raise ValueError('is no integer, needed nanoseconds')
+    stamp_ns = int(field)
+    if stamp_ns > _INT64_MAX:
+        raise ValueError('is out of range, needed nanoseconds')
+    return stamp_ns
+
+
+def _lost_note(lost: NDArray[np.bool_]) -> list[str]:
+    count = int(np.count_nonzero(lost))
+    return [f'{count} of {len(lost)} poses are not finite: dropped'] if count else []
+
+
+def _shown(text: bytes) -> str:
+    shown = text[:60].decode('utf-8', errors='replace')
+    return repr(shown + '...' if len(text) > 60 else shown)
