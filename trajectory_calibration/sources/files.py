@@ -88,10 +88,15 @@ class FileSource:
         order = [4, 5, 6, 7] if file_format == 'tum' else _euroc_quaternion_columns(table)
         rows = table.parse(_COLUMNS[file_format], to_stamp, more=file_format == 'euroc')
         quaternions = rows.values[:, order]
-        lost = ~np.isfinite(rows.values[:, 1:8]).all(axis=1) | (quaternions == 0).all(axis=1)
+        lost = ~np.isfinite(rows.values).all(axis=1) | (quaternions == 0).all(axis=1)
         with np.errstate(over='ignore', invalid='ignore'):
             norm = np.linalg.norm(quaternions, axis=1)
             wrong = ~lost & ~(np.abs(norm - 1) <= ROTATION_TOLERANCE)
+        keep = ~lost
+        if wrong[-1] and not table.complete:
+            # A row can end within its last number too; the norm then tells.
+            table.notes.append(_cut_off_note(rows.line_numbers[-1]))
+            wrong[-1] = keep[-1] = False
         if wrong.any():
             k = int(np.argmax(wrong))
             raise SourceError(
@@ -99,7 +104,6 @@ class FileSource:
                 f'{norm[k]:.6g}, needed 1; is the file in the format {file_format}, with the '
                 f'quaternion in the order {"x, y, z, w" if file_format == "tum" else "w, x, y, z"}'
                 '?')
-        keep = ~lost
         return Trajectory.from_quaternions(
             rows.stamps_ns[keep], rows.values[keep, 1:4], quaternions[keep],
             self.world_frame, self.sensor_frame,
@@ -109,16 +113,19 @@ class FileSource:
         rows = table.parse(_COLUMNS['kitti'], None)
         stamps = times.parse(1, _seconds_to_ns)
         poses, count = len(rows.values), len(stamps.stamps_ns)
-        if poses != count:
+        used = min(poses, count)
+        # A last line that was cut off has left one of the two files a row shorter.
+        if max(poses, count) - used > bool(table.notes or times.notes):
             raise SourceError(
                 f'{self.path} holds {poses} poses and {self.times} {count} times; needed one time '
                 'for each pose')
-        lost = ~np.isfinite(rows.values).all(axis=1) | ~np.isfinite(stamps.values[:, 0])
-        T = np.zeros((poses, 4, 4))
-        T[:, :3] = rows.values.reshape(-1, 3, 4)
+        finite = np.isfinite(rows.values[:used]).all(axis=1)
+        lost = ~(finite & np.isfinite(stamps.values[:used, 0]))
+        T = np.zeros((used, 4, 4))
+        T[:, :3] = rows.values[:used].reshape(-1, 3, 4)
         T[:, 3, 3] = 1.0
         return Trajectory(
-            stamps.stamps_ns[~lost], T[~lost], self.world_frame, self.sensor_frame,
+            stamps.stamps_ns[:used][~lost], T[~lost], self.world_frame, self.sensor_frame,
             self._warnings([*table.notes, *times.notes, *_lost_note(lost)]))
 
     def _warnings(self, notes: list[str]) -> tuple[str, ...]:
@@ -223,33 +230,48 @@ class _Table:
     ) -> _Rows:
         """Turn the rows into numbers; ``more`` allows further columns, which are ignored."""
         self._drop_incomplete_end(columns)
-        separator = b',' if b',' in self.lines[0] else None
-        count = len(self.lines)
-        values = np.empty((count, columns))
-        stamps_ns = np.zeros(count, dtype=np.int64)
-        for k, line in enumerate(self.lines):
-            fields = line.split(separator)
-            if len(fields) != columns and not (more and len(fields) > columns):
-                raise self._wrong(
-                    k, f'{len(fields)} columns, needed {"at least " * more}{columns}')
-            try:
-                values[k] = [float(field) for field in fields[:columns]]
-            except ValueError:
-                raise self._wrong(k, f'needed {columns} numbers') from None
-            if to_stamp is not None and np.isfinite(values[k, 0]):
+        try:
+            values = np.loadtxt(
+                self.lines, delimiter=self._separator, comments=None, ndmin=2,
+                usecols=range(columns) if more else None)
+        except ValueError:
+            values = np.empty((0, 0))
+        if values.shape != (len(self.lines), columns):
+            raise self._first_misfit(columns, more=more)
+        stamps_ns = np.zeros(len(values), dtype=np.int64)
+        if to_stamp is not None:
+            for k in np.flatnonzero(np.isfinite(values[:, 0])):
+                field = self._fields(k)[0]
                 try:
-                    stamps_ns[k] = to_stamp(fields[0])
+                    stamps_ns[k] = to_stamp(field)
                 except (ValueError, InvalidOperation) as error:
-                    raise self._wrong(k, f'the time {_shown(fields[0])} {error}') from None
+                    raise self._wrong(int(k), f'the time {_shown(field)} {error}') from None
         return _Rows(values, stamps_ns, self.line_numbers)
 
+    @property
+    def _separator(self) -> str | None:
+        return ',' if b',' in self.lines[0] else None
+
+    def _fields(self, k: int) -> list[bytes]:
+        return self.lines[k].split(b',' if self._separator else None)
+
     def _drop_incomplete_end(self, columns: int) -> None:
-        if self.complete or len(self.lines) < 2:
-            return
-        separator = b',' if b',' in self.lines[0] else None
-        if len(self.lines[-1].split(separator)) < columns:
-            self.notes.append(f'the last line, {self.line_numbers[-1]}, is cut off: dropped')
+        cut_off = (not self.complete and len(self.lines) > 1
+                   and len(self._fields(-1)) < max(columns, len(self._fields(0))))
+        if cut_off:
+            self.notes.append(_cut_off_note(self.line_numbers[-1]))
             del self.lines[-1], self.line_numbers[-1]
+
+    def _first_misfit(self, columns: int, *, more: bool) -> SourceError:
+        """Return the error of the first row that is not so many numbers."""
+        for k in range(len(self.lines)):
+            fields = self._fields(k)
+            if len(fields) != columns and not (more and len(fields) > columns):
+                return self._wrong(
+                    k, f'{len(fields)} columns, needed {"at least " * more}{columns}')
+            if not all(map(_is_number, fields[:columns])):
+                return self._wrong(k, f'needed {columns} numbers')
+        return SourceError(f'{self.path} is no table of {columns} numbers a row')
 
     def _wrong(self, k: int, what: str) -> SourceError:
         return SourceError(
@@ -299,6 +321,18 @@ def _integer_ns(field: bytes) -> int:
     if stamp_ns > _INT64_MAX:
         raise ValueError('is out of range, needed nanoseconds')
     return stamp_ns
+
+
+def _is_number(field: bytes) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return b'_' not in field
+
+
+def _cut_off_note(line_number: int) -> str:
+    return f'the last line, {line_number}, is cut off: dropped'
 
 
 def _lost_note(lost: NDArray[np.bool_]) -> list[str]:
