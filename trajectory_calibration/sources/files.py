@@ -17,10 +17,10 @@ when it is killed: dropped with a warning too. Anything else that does not fit i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+import os
 from pathlib import Path
 
 import numpy as np
@@ -240,12 +240,12 @@ class _Table:
             raise self._first_misfit(columns, more=more)
         stamps_ns = np.zeros(len(values), dtype=np.int64)
         if to_stamp is not None:
-            for k in np.flatnonzero(np.isfinite(values[:, 0])):
+            for k in np.flatnonzero(np.isfinite(values[:, 0])).tolist():
                 field = self._fields(k)[0]
                 try:
                     stamps_ns[k] = to_stamp(field)
                 except (ValueError, InvalidOperation) as error:
-                    raise self._wrong(int(k), f'the time {_shown(field)} {error}') from None
+                    raise self._wrong(k, f'the time {_shown(field)} {error}') from None
         return _Rows(values, stamps_ns, self.line_numbers)
 
     @property
