@@ -7,13 +7,13 @@ import os
 import sys
 from collections.abc import Sequence
 
-from trajectory_calibration.cli import calibrate
+from trajectory_calibration.cli import calibrate, simulate
 from trajectory_calibration.errors import CalibrationError, ConfigError
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (calibrate,)
+_COMMANDS = (calibrate, simulate)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1

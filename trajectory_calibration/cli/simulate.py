@@ -1,0 +1,128 @@
+"""``trajectory_calibration simulate``: two trajectories with a known extrinsic, as files."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from trajectory_calibration.errors import ConfigError, SourceError
+
+if TYPE_CHECKING:
+    from trajectory_calibration.simulation import Noise, Scenario, SimulatedPair
+
+FORMATS = ('tum', 'mcap', 'sqlite3')
+TOPICS = ('/trajectory_a', '/trajectory_b')
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'simulate', help='make two trajectories with a known extrinsic',
+        description='Simulate two sensors on one base, and what their SLAM makes of the motion. '
+        'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
+    parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
+    parser.add_argument(
+        '--scenario', default='mixture', metavar='NAME',
+        help='noise, outliers, drift, mixture (those of the paper), offroad, road, drone or '
+        'handheld (default: mixture)')
+    parser.add_argument('--seed', type=int, default=0, help='of everything random (default: 0)')
+    parser.add_argument(
+        '--noise', action='append', default=[], metavar='[a.|b.]NAME=VALUE',
+        help='change an error of both sensors, or of one: white, white_rotation, jumps, drift, '
+        'walk, walk_rotation, coloured, coloured_rotation, coloured_time, loop_closures, scale; '
+        'may be given several times')
+    parser.add_argument('--duration', type=float, metavar='S', help='seconds')
+    for name in 'ab':
+        group = parser.add_argument_group(f'sensor {name}')
+        group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
+        group.add_argument(
+            f'--clock-offset-{name}', type=float, metavar='S', help='its clock is ahead by this')
+        group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='intervals without poses')
+        group.add_argument(f'--gap-{name}', type=float, metavar='S', help='their length')
+        group.add_argument(f'--frame-{name}', metavar='FRAME', help='name of its frame')
+    parser.add_argument(
+        '--format', choices=FORMATS, default='tum', help='of the trajectories (default: tum)')
+    parser.add_argument(
+        '--message', choices=('odometry', 'pose_stamped'), default='odometry',
+        help='type of the messages in a bag (default: odometry)')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate, write, and say what was written."""
+    from trajectory_calibration.simulation import SCENARIOS, simulate
+    if arguments.scenario not in SCENARIOS:
+        raise ConfigError(
+            f'scenario {arguments.scenario!r} is unknown; needed one of {", ".join(SCENARIOS)}')
+    if arguments.seed < 0:
+        raise ConfigError(f'seed is {arguments.seed}, needed a whole number from 0 up')
+    scenario = _changed(SCENARIOS[arguments.scenario], arguments)
+    pair = simulate(scenario, arguments.seed)
+    _write(pair, arguments)
+    return 0
+
+
+def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """Return the scenario with what the options set."""
+    if arguments.duration is not None:
+        scenario = replace(scenario, duration=arguments.duration)
+    for name in 'ab':
+        sensor = getattr(scenario, name)
+        given = {
+            'rate': getattr(arguments, f'rate_{name}'),
+            'clock_offset': getattr(arguments, f'clock_offset_{name}'),
+            'gaps': getattr(arguments, f'gaps_{name}'),
+            'gap': getattr(arguments, f'gap_{name}'),
+            'sensor_frame': getattr(arguments, f'frame_{name}'),
+        }
+        given = {key: value for key, value in given.items() if value is not None}
+        noise = _changed_noise(sensor.noise, name, arguments.noise)
+        scenario = replace(scenario, **{name: replace(sensor, noise=noise, **given)})
+    return scenario
+
+
+def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
+    """Apply those of the settings ``[a.|b.]NAME=VALUE`` that concern the sensor."""
+    names = [item.name for item in fields(noise)]
+    values: dict[str, Any] = {}
+    for setting in settings:
+        key, _, text = setting.partition('=')
+        which, _, name = key.rpartition('.')
+        if which not in ('', 'a', 'b') or name not in names:
+            raise ConfigError(
+                f'noise {setting!r} is unknown; needed NAME=VALUE, a.NAME=VALUE or b.NAME=VALUE '
+                f'with a name of {", ".join(names)}')
+        if which in ('', sensor):
+            kind = int if name in ('jumps', 'loop_closures') else float
+            try:
+                values[name] = kind(text)
+            except ValueError:
+                raise ConfigError(
+                    f'noise {setting!r}: {text!r} is no {kind.__name__}') from None
+    return replace(noise, **values)
+
+
+def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> None:
+    from trajectory_calibration.simulation.files import write_bag, write_transform, write_tum
+    folder: Path = arguments.output
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SourceError(f'{folder} cannot be made: {error.strerror or error}') from error
+    truth = folder / 'truth.tum'
+    if arguments.format == 'tum':
+        inputs = f'{folder / "a.tum"} {folder / "b.tum"}'
+        write_tum(folder / 'a.tum', pair.a)
+        write_tum(folder / 'b.tum', pair.b)
+    else:
+        bag = folder / 'bag'
+        inputs = f'--bag {bag} {" ".join(TOPICS)}'
+        write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
+                  message=arguments.message, storage=arguments.format)
+    write_transform(truth, pair.T_a_b)
+    for name, trajectory in (('a', pair.a), ('b', pair.b)):
+        print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
+              f'{trajectory.duration_s:g} s')
+    print(f'try: trajectory_calibration calibrate {inputs} --ground-truth {truth}')

@@ -1,0 +1,187 @@
+"""What a SLAM does to a trajectory: drift, scale, loop closures, jumps, noise.
+
+Every function takes true or already disturbed (N, 4, 4) poses in time order and returns new
+ones. The order in ``Noise.disturb`` is the physical one: what accumulates comes before what
+strikes a pose, and noise of a pose comes last.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.se3 import FloatArray
+
+# Each axis of a jump has this variance, square metres.
+JUMP_VARIANCE = 0.02
+
+
+@dataclass(frozen=True)
+class Noise:
+    """The errors of one sensor's trajectory.
+
+    Attributes
+    ----------
+    white : standard deviation of each translation axis of each pose, metres.
+    white_rotation : the same of each rotation axis, radians; None: 2 rad/m times ``white``, as
+        in the paper.
+    jumps : number of steps in the position, each lasting to the end.
+    drift : metres of drift per metre moved, along one random axis of the sensor's own frame.
+    walk : standard deviation of the random walk of the position, metres after one metre.
+    walk_rotation : the same of the orientation, radians after one metre.
+    coloured : standard deviation of a slowly varying position error, metres.
+    coloured_rotation : the same of the orientation, radians.
+    coloured_time : its correlation time, seconds.
+    loop_closures : number of times at which everything accumulated is set right, at once.
+    scale : factor on every translation.
+
+    """
+
+    white: float = 0.0
+    white_rotation: float | None = None
+    jumps: int = 0
+    drift: float = 0.0
+    walk: float = 0.0
+    walk_rotation: float = 0.0
+    coloured: float = 0.0
+    coloured_rotation: float = 0.0
+    coloured_time: float = 2.0
+    loop_closures: int = 0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            # Written so that NaN fails.
+            if value is not None and not 0 <= value < float('inf'):
+                raise ConfigError(f'noise {item.name} is {value}, needed a number from 0 up')
+        if self.scale == 0 or self.coloured_time == 0:
+            raise ConfigError('noise scale and coloured_time are needed above 0')
+
+    def disturb(
+        self, poses: FloatArray, interval: float, seed: np.random.SeedSequence,
+    ) -> FloatArray:
+        """Return the (N, 4, 4) poses that a SLAM reports for true ones ``interval`` s apart.
+
+        Each kind of error draws from a stream of its own: raising one level leaves the others
+        as they were.
+        """
+        streams = [np.random.default_rng(child) for child in seed.spawn(5)]
+        for_drift, for_closures, for_jumps, for_coloured, for_white = streams
+        disturbed = accumulate(
+            poses, drift=self.drift, walk=self.walk, walk_rotation=self.walk_rotation,
+            scale=self.scale, closures=_moments(len(poses), self.loop_closures, for_closures),
+            rng=for_drift)
+        disturbed = jump(disturbed, self.jumps, for_jumps)
+        disturbed = shake(disturbed, ornstein_uhlenbeck(
+            len(poses), interval, self.coloured, self.coloured_rotation, self.coloured_time,
+            for_coloured))
+        rotation = 2 * self.white if self.white_rotation is None else self.white_rotation
+        return shake(disturbed, _gaussian(len(poses), self.white, rotation, for_white))
+
+
+def accumulate(
+    poses: FloatArray,
+    *,
+    drift: float,
+    walk: float,
+    walk_rotation: float,
+    scale: float,
+    closures: NDArray[np.intp],
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return (N, 4, 4) poses that dead reckoning builds from steps with errors.
+
+    A step of length s gets ``drift * s`` along one axis of the frame it starts in, is multiplied
+    by ``scale``, and is followed by a random motion with the standard deviations
+    ``walk * sqrt(s)`` and ``walk_rotation * sqrt(s)``. At the (K,) indices ``closures`` the pose
+    is the true one again, in the scaled world.
+    """
+    axis = np.eye(3)[rng.integers(3)]
+    steps = se3.inverse(poses[:-1]) @ poses[1:]
+    length = np.linalg.norm(steps[:, :3, 3], axis=1)
+    steps[:, :3, 3] = scale * (steps[:, :3, 3] + drift * length[:, None] * axis)
+    errors = _gaussian(len(steps), walk, walk_rotation, rng) * np.sqrt(length)[:, None]
+    if walk or walk_rotation:
+        steps = steps @ se3.exp_se3(errors)
+    anchors = poses.copy()
+    anchors[:, :3, 3] *= scale
+    starts = np.concatenate([[0], closures, [len(poses)]]).astype(int)
+    return np.concatenate([
+        anchors[start] @ running_product(np.concatenate([np.eye(4)[None], steps[start:end - 1]]))
+        for start, end in pairwise(starts)])
+
+
+def jump(poses: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return (N, 4, 4) poses with ``count`` random steps of the position, each to the end."""
+    offsets = np.zeros((len(poses), 3))
+    where = _moments(len(poses), count, rng)
+    offsets[where] = rng.normal(0.0, np.sqrt(JUMP_VARIANCE), (len(where), 3))
+    result = poses.copy()
+    result[:, :3, 3] += offsets.cumsum(axis=0)
+    return result
+
+
+def shake(poses: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Return (N, 4, 4) poses right-multiplied by small motions, (N, 6) metres and radians.
+
+    The rotation is given as a rotation vector, which for small angles has the distribution of
+    the paper's Euler angles.
+    """
+    return poses @ se3.from_rotation_translation(se3.exp_so3(tangents[:, 3:]), tangents[:, :3])
+
+
+def ornstein_uhlenbeck(
+    count: int,
+    interval: float,
+    translation: float,
+    rotation: float,
+    time: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return (count, 6) stationary noise with the autocorrelation ``exp(-|lag| / time)``.
+
+    ``translation`` (m) and ``rotation`` (rad) are its standard deviations; the samples are
+    ``interval`` seconds apart.
+    """
+    # SciPy loads here because the rest of the simulator does without.
+    from scipy.signal import lfilter
+    keep = np.exp(-interval / time)
+    driven = _gaussian(count, translation, rotation, rng)
+    driven[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=0), dtype=np.float64)
+
+
+def running_product(poses: FloatArray) -> FloatArray:
+    """Return the (N, 4, 4) products of the first 1, 2, ..., N of (N, 4, 4) poses.
+
+    In about sqrt(N) blocks of sqrt(N): first along all blocks at once, then from block to block,
+    which makes 2 sqrt(N) steps over arrays in place of N small products.
+    """
+    length = int(np.ceil(np.sqrt(len(poses))))
+    blocks = np.tile(np.eye(4), (-(-len(poses) // length), length, 1, 1))
+    blocks.reshape(-1, 4, 4)[:len(poses)] = poses
+    for k in range(1, length):
+        blocks[:, k] = blocks[:, k - 1] @ blocks[:, k]
+    for i in range(1, len(blocks)):
+        blocks[i] = blocks[i - 1, -1] @ blocks[i]
+    return blocks.reshape(-1, 4, 4)[:len(poses)]
+
+
+def _gaussian(
+    count: int, translation: float, rotation: float, rng: np.random.Generator,
+) -> FloatArray:
+    return rng.standard_normal((count, 6)) * ([translation] * 3 + [rotation] * 3)
+
+
+def _moments(poses: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return the sorted indices of ``count`` different poses, never the first."""
+    if count >= poses:
+        raise ConfigError(
+            f'{count} jumps or loop closures asked of {poses} poses; needed fewer than poses')
+    return np.sort(rng.permutation(np.arange(1, poses))[:count])

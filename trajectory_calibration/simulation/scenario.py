@@ -1,0 +1,184 @@
+"""From a scenario and a seed to two trajectories and the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.simulation.noise import Noise
+from trajectory_calibration.simulation.paths import flat, hills, Unicycle, Wander
+from trajectory_calibration.trajectory import Trajectory
+
+# A day in 2023, so that stamps are as long as real ones.
+START_NS = 1_700_000_000_000_000_000
+
+# Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
+_REACH = 0.5
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How one sensor's SLAM reports the motion.
+
+    Attributes
+    ----------
+    rate : poses per second.
+    noise : errors of the poses.
+    clock_offset : seconds by which its clock is ahead.
+    gaps : number of intervals, at random times, without poses.
+    gap : their length, seconds.
+    sensor_frame, world_frame : names.
+
+    """
+
+    rate: float = 10.0
+    noise: Noise = field(default_factory=Noise)
+    clock_offset: float = 0.0
+    gaps: int = 0
+    gap: float = 1.0
+    sensor_frame: str = 'lidar'
+    world_frame: str = 'lidar_map'
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rate <= 1e6:
+            raise ConfigError(f'rate is {self.rate}, needed above 0 and up to 1e6 hertz')
+        if not (self.gaps >= 0 and self.gap >= 0):
+            raise ConfigError(
+                f'{self.gaps} gaps of {self.gap} s are asked for; needed numbers from 0 up')
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Two sensors on one base.
+
+    Attributes
+    ----------
+    duration : seconds.
+    motion : how the base, which is sensor a, moves.
+    a, b : the sensors.
+
+    """
+
+    duration: float = 9.9
+    motion: Unicycle | Wander = field(default_factory=Unicycle)
+    a: Sensor = field(default_factory=Sensor)
+    b: Sensor = field(default_factory=lambda: Sensor(
+        sensor_frame='camera', world_frame='camera_map'))
+
+    def __post_init__(self) -> None:
+        if not 0 < self.duration <= 1e6:
+            raise ConfigError(f'duration is {self.duration}, needed above 0 and up to 1e6 s')
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPair:
+    """What the two sensors report, and the truth.
+
+    Attributes
+    ----------
+    a, b : the trajectories.
+    T_a_b : (4, 4), the true pose of sensor b in sensor a.
+
+    """
+
+    a: Trajectory
+    b: Trajectory
+    T_a_b: FloatArray
+
+
+def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
+    """Draw one run of a scenario.
+
+    The generator of Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023,
+    doi:10.3390/s23073740, section IV-A, and what real sensors add to it. The same seed gives
+    the same motion, extrinsic and worlds whatever the noise.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What moves, and how it is seen.
+    seed : int
+        Of everything random.
+
+    Returns
+    -------
+    SimulatedPair
+        The trajectories and the truth.
+
+    """
+    for_path, for_frames, for_a, for_b = np.random.SeedSequence(seed).spawn(4)
+    path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
+    rng = np.random.default_rng(for_frames)
+    T_a_b = random_pose(rng)
+    T_worldb_worlda = random_pose(rng)
+    return SimulatedPair(
+        a=_observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
+        b=_observe(scenario.b, scenario.duration,
+                   T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
+        T_a_b=T_a_b,
+    )
+
+
+def random_pose(rng: np.random.Generator) -> FloatArray:
+    """Draw a (4, 4) pose: rotation uniform over SO(3), translation in plus or minus 0.5 m."""
+    quaternion = rng.standard_normal(4)
+    return se3.from_rotation_translation(
+        se3.quaternion_to_rotation(quaternion / np.linalg.norm(quaternion)),
+        rng.uniform(-_REACH, _REACH, 3))
+
+
+def _times(scenario: Scenario, sensor: Sensor) -> FloatArray:
+    # The small addition keeps the last sample where duration * rate is a whole number.
+    return np.arange(int(scenario.duration * sensor.rate + 1e-6) + 1) / sensor.rate
+
+
+def _observe(
+    sensor: Sensor, duration: float, poses: FloatArray, seed: np.random.SeedSequence,
+) -> Trajectory:
+    """Report true (N, 4, 4) poses, evenly spaced in time, as the sensor's SLAM would."""
+    for_noise, for_gaps = seed.spawn(2)
+    times = np.arange(len(poses)) / sensor.rate
+    starts = np.random.default_rng(for_gaps).uniform(0, max(duration - sensor.gap, 0), sensor.gaps)
+    hidden = ((times >= starts[:, None]) & (times < starts[:, None] + sensor.gap)).any(axis=0)
+    stamps_ns = START_NS + np.rint((times + sensor.clock_offset) * 1e9).astype(np.int64)
+    disturbed = sensor.noise.disturb(poses, 1 / sensor.rate, for_noise)
+    return Trajectory(stamps_ns[~hidden], disturbed[~hidden],
+                      sensor.world_frame, sensor.sensor_frame)
+
+
+def with_noise(scenario: Scenario, a: Noise, b: Noise) -> Scenario:
+    """Return the scenario with other errors of its sensors."""
+    return replace(scenario, a=replace(scenario.a, noise=a), b=replace(scenario.b, noise=b))
+
+
+def paper_scenario(*, white: float = 0.0, jumps: int = 0, drift: float = 0.0) -> Scenario:
+    """Return the paper's scenario: noise and jumps on both trajectories, drift on that of b."""
+    both = Noise(white=white, jumps=jumps)
+    return with_noise(Scenario(), both, replace(both, drift=drift))
+
+
+def _field_scenario(duration: float, motion: Unicycle | Wander) -> Scenario:
+    """Return what SLAM of a lidar at 10 Hz and of a camera at 20 Hz make of a motion."""
+    slam = Noise(white=0.005, white_rotation=0.001, walk=0.005, walk_rotation=0.0005)
+    scenario = with_noise(Scenario(duration, motion), slam, replace(slam, drift=0.005))
+    return replace(scenario, b=replace(scenario.b, rate=20.0))
+
+
+# The paper's classes at their hardest level, then motions and sensors it does not have.
+SCENARIOS: dict[str, Scenario] = {
+    'noise': paper_scenario(white=0.01),
+    'outliers': paper_scenario(jumps=10),
+    'drift': paper_scenario(drift=0.05),
+    'mixture': paper_scenario(white=0.005, jumps=5, drift=0.025),
+    'offroad': _field_scenario(
+        120.0, Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=hills)),
+    'road': _field_scenario(
+        120.0, Unicycle(speed=15.0, yaw_rate=0.3, hold=2.0, ground=flat)),
+    'drone': _field_scenario(60.0, Wander()),
+    'handheld': _field_scenario(
+        60.0, Wander(reach=0.8, tilt=0.5, turn=0.8, frequency=0.5)),
+}
