@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
-from trajectory_calibration.sources.files import FORMATS, FileSource, read_transform
+from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.report.text import format_result, to_yaml
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.se3 import FloatArray, rotation_to_quaternion
+from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
+from trajectory_calibration.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from trajectory_calibration.result import CalibrationResult
-    from trajectory_calibration.se3 import FloatArray
-    from trajectory_calibration.trajectory import Trajectory
+RESULT_FILE = 'result.yaml'
+TRANSFORM_FILE = 'T_a_b.txt'
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -48,7 +51,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate and print the result."""
-    from trajectory_calibration.pipeline import calibrate
     config = config_from_arguments(arguments)
     truth = None if arguments.ground_truth is None else read_transform(arguments.ground_truth)
     trajectory_a, trajectory_b = _load(arguments)
@@ -60,6 +62,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
+    """Read A and B."""
+    if arguments.a == arguments.b:
+        raise ConfigError(f'A and B are both {arguments.a}; needed two sensors')
+    if arguments.bag:
+        return _load_topics(arguments)
     return (
         FileSource(Path(arguments.a), arguments.format_a, arguments.times_a,
                    arguments.frame_a or 'sensor_a').load(),
@@ -67,17 +74,40 @@ def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
                    arguments.frame_b or 'sensor_b').load())
 
 
+def _load_topics(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
+    """Read the topics A and B in one pass over the bags."""
+    for name in ('format_a', 'format_b', 'times_a', 'times_b'):
+        if getattr(arguments, name) is not None:
+            raise ConfigError(f'--{name.replace("_", "-")} is for files; with --bag, A and B are '
+                              'topics, whose messages carry their format and time')
+    # rosbags loads where a bag is read, and only there.
+    from trajectory_calibration.sources.bags import open_bags
+    with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
+        tracks = reader.read([arguments.a, arguments.b], progress)
+    return (tracks[arguments.a].to_trajectory(arguments.frame_a),
+            tracks[arguments.b].to_trajectory(arguments.frame_b))
+
+
 def _write(result: CalibrationResult, folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    result.save(folder / 'result.yaml')
+    """Write the result, and the bare transform as one row that other tools read."""
+    t, q = result.T_a_b[:3, 3], rotation_to_quaternion(result.T_a_b[:3, :3])
+    row = ' '.join(f'{value:.9f}' for value in (*t, *q))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / TRANSFORM_FILE).write_text(
+            f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
+            f'0 {row}\n', encoding='utf-8')
+    except OSError as error:
+        raise ResultError(
+            f'{folder} cannot be written: {error.strerror or error}; give another --output'
+        ) from error
+    result.save(folder / RESULT_FILE)
 
 
 def _print(result: CalibrationResult, truth: FloatArray | None, output_format: str) -> None:
     if output_format == 'json':
         print(json.dumps(result.to_dict(truth)))
     elif output_format == 'yaml':
-        from trajectory_calibration.report.text import to_yaml
-        sys.stdout.write(to_yaml(result.to_dict(truth)))
+        print(to_yaml(result.to_dict(truth)), end='')
     else:
-        from trajectory_calibration.report.text import format_result
-        sys.stdout.write(format_result(result, truth))
+        print(format_result(result, truth), end='')

@@ -1,4 +1,4 @@
-"""A result as a person reads it on a terminal."""
+"""A result, and an inspection, as a person reads them on a terminal."""
 
 from __future__ import annotations
 
@@ -49,6 +49,32 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         lines.append('')
     lines.append(f'Pose of {b} in {a}')
     lines += _aligned(rows)
+    return '\n'.join(lines) + '\n'
+
+
+def format_inspection(found: dict[str, Any]) -> str:
+    """Return the screen of what was found in one file or bag."""
+    lines = [found['path'], *(f'  warning: {note}' for note in found['notes'])]
+    for item in found['trajectories']:
+        messages = item.get('messages', item['poses'])
+        read = '' if messages == item['poses'] else f' of {messages} messages'
+        gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
+                else 'no gaps')
+        lines += ['', f'{item["name"]}  ({item["kind"]})',
+                  *(f'  warning: {warning}' for warning in item['warnings'])]
+        lines += _aligned({
+            'frames': f'{item["sensor_frame"]} in {item["world_frame"]}',
+            'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
+            'time': f'{item["duration_s"]:.3f} s from {item["start_s"]:.3f}',
+            'path': f'{item["path_length_m"]:.2f} m',
+            'turned about': f'{_named(item["turned_deg"], "xyz", 2)} deg, root mean square in 2 s',
+            'motion': f'{item["motion"]}: {item["advice"]}',
+        })
+    if found['other']:
+        lines += ['', 'Topics that cannot serve']
+        lines += _aligned({
+            item['topic']: item.get('error') or f'{item["msgtype"]}, {item["messages"]} messages'
+            for item in found['other']})
     return '\n'.join(lines) + '\n'
 
 

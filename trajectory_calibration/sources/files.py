@@ -34,7 +34,7 @@ from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 FORMATS = ('tum', 'kitti', 'euroc')
 
 _COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
-_BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
+BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
 _INT64_MAX = 2**63 - 1
 
 
@@ -132,6 +132,11 @@ class FileSource:
         return tuple(f'{self.sensor_frame}: {self.path}: {note}' for note in notes)
 
 
+def is_bag(path: Path) -> bool:
+    """Tell a bag from a text file: a folder, or one of the suffixes of bags."""
+    return path.is_dir() or path.suffix in BAG_SUFFIXES
+
+
 def read_transform(path: str | os.PathLike[str]) -> FloatArray:
     """Read one (4, 4) transform, the pose of b in a, from a file.
 
@@ -200,7 +205,7 @@ class _Table:
 
     @classmethod
     def read(cls, path: Path) -> _Table:
-        if path.is_dir() or path.suffix in _BAG_SUFFIXES:
+        if is_bag(path):
             raise SourceError(
                 f'{path} is a bag or a folder, needed a text file (TUM, KITTI, EuRoC); for a bag '
                 'name two of its topics and give the bag with --bag')

@@ -1,0 +1,81 @@
+"""``trajectory_calibration inspect``: what is in a bag or a file, and whether it suffices."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.errors import SourceError
+from trajectory_calibration.report.inspection import inspect_trajectory
+from trajectory_calibration.report.text import format_inspection
+from trajectory_calibration.sources.files import FileSource, FORMATS, is_bag
+
+if TYPE_CHECKING:
+    from trajectory_calibration.sources.topics import TopicTrack
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'inspect', help='show what is in a bag or a file, and whether its motion suffices',
+        description='Show the trajectories in bags and files: counts, rates, gaps, frames, and '
+                    'whether their motion can determine an extrinsic.')
+    parser.add_argument('paths', metavar='PATH', nargs='+', type=Path, help='bag or file')
+    parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
+    parser.add_argument(
+        '--file-format', choices=FORMATS, help='format of the files (default: from their rows)')
+    parser.add_argument(
+        '--times', type=Path, metavar='FILE', help='times of KITTI poses, seconds')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Inspect each path and print what was found."""
+    inputs = [
+        _inspect_bag(path) if is_bag(path)
+        else _inspect_file(path, arguments.file_format, arguments.times)
+        for path in arguments.paths]
+    if arguments.format == 'json':
+        print(json.dumps({'inputs': inputs}))
+    else:
+        print('\n'.join(format_inspection(item) for item in inputs), end='')
+    return 0
+
+
+def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
+    trajectory = FileSource(path, file_format, times).load()
+    found = inspect_trajectory(trajectory, str(path), 'file')
+    return {'path': str(path), 'notes': [], 'trajectories': [found.to_dict()], 'other': []}
+
+
+def _inspect_bag(path: Path) -> dict[str, Any]:
+    # rosbags loads where a bag is read, and only there.
+    from trajectory_calibration.sources.bags import open_bags
+    from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
+    with open_bags([path]) as reader, progress_bar('reading') as progress:
+        types: dict[str, set[str]] = {}
+        for channel in reader.channels:
+            types.setdefault(channel.topic, set()).add(channel.msgtype)
+        serving = [topic for topic, kinds in types.items()
+                   if len(kinds) == 1 and kinds <= set(TRAJECTORY_TYPES)]
+        tracks = reader.read(serving, progress)
+        others = [channel._asdict() for channel in reader.channels
+                  if channel.topic not in serving]
+        notes = reader.notes
+    found = [_inspect_topic(track) for track in tracks.values()]
+    return {'path': str(path), 'notes': notes,
+            'trajectories': [item for item in found if 'error' not in item],
+            'other': [item for item in found if 'error' in item] + others}
+
+
+def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
+    """Describe a topic, or say why it is of no use."""
+    try:
+        found = inspect_trajectory(track.to_trajectory(), track.topic, track.msgtype)
+    except SourceError as error:
+        return {'topic': track.topic, 'msgtype': track.msgtype, 'messages': track.messages,
+                'error': str(error)}
+    return {**found.to_dict(), 'messages': track.messages}
