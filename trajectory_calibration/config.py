@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.motions import REFERENCE_HELP, parse_reference
+from trajectory_calibration.motions import parse_reference, REFERENCE_HELP
 from trajectory_calibration.solvers import SOLVER_NAMES
 
 
@@ -48,7 +48,7 @@ class Option:
         if self.choices and value not in self.choices:
             raise ConfigError(
                 f'{self.name} {value!r} is unknown; needed one of {", ".join(self.choices)}')
-        if self.kind in (int, float):
+        if isinstance(value, (int, float)):
             low = -float('inf') if self.minimum is None else self.minimum
             high = float('inf') if self.maximum is None else self.maximum
             # Written so that NaN fails.
@@ -89,6 +89,9 @@ class CalibrationConfig:
         'outlier', minimum=0.0, maximum=1e6)
     dnlo_min_inliers: float = _option(
         0.5, 'least fraction d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
+    dnlo_method: str = _option(
+        'auto', 'how dnlo finds its minimum; auto chooses by the number of motions',
+        choices=('auto', 'ipopt', 'path', 'alternating'))
 
     def __post_init__(self) -> None:
         for option in self.options():

@@ -7,8 +7,8 @@ doi:10.3390/s23073740, section III-D.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
+import re
 
 import numpy as np
 from numpy.typing import NDArray

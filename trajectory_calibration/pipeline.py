@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from trajectory_calibration.association import AssociationSummary, associate
+from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import asdict, dataclass, fields
+import os
 from pathlib import Path
+import tempfile
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from trajectory_calibration import se3
 from trajectory_calibration.association import AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError, ResultError
-from trajectory_calibration.metrics import AbsoluteErrors, RelativeErrors, absolute_errors
+from trajectory_calibration.metrics import absolute_errors, AbsoluteErrors, RelativeErrors
 from trajectory_calibration.observability import Observability
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.version import __version__

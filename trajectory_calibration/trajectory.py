@@ -93,7 +93,7 @@ class Trajectory:
             raise TrajectoryError(
                 f'positions have the shape {p.shape} and quaternions {q.shape}, needed (N, 3) '
                 'and (N, 4)')
-        _require_finite(np.isfinite(p).all(axis=1) & np.isfinite(q).all(axis=1))
+        _require_finite(np.concatenate([p, q], axis=1))
         norm = np.linalg.norm(q, axis=1)
         note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
         if note:
@@ -148,7 +148,7 @@ def _checked_stamps(
 
 def _repair_rotations(poses: FloatArray) -> list[str]:
     """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
-    _require_finite(np.isfinite(poses).all(axis=(1, 2)))
+    _require_finite(poses.reshape(len(poses), 16))
     if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
         raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
     R = poses[:, :3, :3]
@@ -161,11 +161,12 @@ def _repair_rotations(poses: FloatArray) -> list[str]:
     return [note] if note else []
 
 
-def _require_finite(finite: NDArray[np.bool_]) -> None:
-    if not finite.all():
+def _require_finite(rows: FloatArray) -> None:
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad):
         raise TrajectoryError(
-            f'pose {int(np.argmin(finite))} is not finite ({np.count_nonzero(~finite)} of '
-            f'{len(finite)} are not); remove what the SLAM wrote while it was lost')
+            f'pose {bad[0]} is not finite ({len(bad)} of {len(rows)} are not); remove what the '
+            'SLAM wrote while it was lost')
 
 
 def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str | None:

@@ -8,7 +8,7 @@ motion does not determine and ``SolverError`` where it finds no minimum.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol, TYPE_CHECKING
 
 from trajectory_calibration.errors import ConfigError
 

@@ -12,6 +12,7 @@ the Frobenius norm of the upper three rows, theta a rotation vector, with CasADi
 from __future__ import annotations
 
 from functools import lru_cache
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,9 @@ def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, f
 @lru_cache(maxsize=1)
 def _program() -> Any:
     """Build the nonlinear program once; the Gram matrix and the start are its parameters."""
-    import casadi as ca  # a third of a second, for those who use it
+    # Loaded here because it takes a third of a second, and as Any because its own annotations
+    # refuse its own expressions.
+    ca: Any = import_module('casadi')
     theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
     G, R_start = ca.SX.sym('G', 169), ca.SX.sym('R_start', 9)
     v = symbolic_monomials(ca, theta, t, R_start)

@@ -27,7 +27,7 @@ _NO_ROTATION = 1e-9
 _MAX_ITERATIONS = 100
 
 # Motions whose equations are held in memory at once (12 x 13 numbers each).
-_CHUNK = 8192
+CHUNK = 8192
 
 # The generators of rotation: skew(e_i), and their symmetrised products.
 _E = se3.skew(np.eye(3))
@@ -84,8 +84,8 @@ def gram(motions: MotionPairs, rows: slice = slice(0, 12)) -> FloatArray:
     ``rows`` picks equations: all twelve, or the translation only.
     """
     G = np.zeros((13, 13))
-    for start in range(0, len(motions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(motions), CHUNK):
+        part = slice(start, start + CHUNK)
         E = equations(motions.A[part], motions.B[part])[:, rows].reshape(-1, 13)
         G += E.T @ E
     return G
@@ -226,8 +226,8 @@ def polish(T_a_b: FloatArray, motions: MotionPairs, rows: slice = slice(0, 12),
     """
     J, v = tangent_basis(T_a_b), monomials(T_a_b)
     H, g = np.zeros((6, 6)), np.zeros(6)
-    for start in range(0, len(motions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(motions), CHUNK):
+        part = slice(start, start + CHUNK)
         E = equations(motions.A[part], motions.B[part])[:, rows]
         if weights is not None:
             E = E * np.sqrt(weights[part, None, None])

@@ -62,7 +62,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     S = _gram(motions, R_turn)
     z, t, cost, iterations = _gauss_newton(S, _to_z(start[:3, :3] @ R_turn.T), start[:3, 3])
     T_a_b = se3.from_rotation_translation(_from_z(z) @ R_turn, t)
-    warnings = ()
+    warnings: tuple[str, ...] = ()
     if angle > _LARGE_ROTATION:
         warnings = (
             f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each other'

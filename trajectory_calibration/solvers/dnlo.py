@@ -1,0 +1,169 @@
+"""DNLO: direct nonlinear least squares with outlier rejection, the paper's second solver.
+
+T. Valimaki, B. Garigipati, R. Ghabcheloo, "Motion-Based Extrinsic Sensor-to-Sensor Calibration:
+Effect of Reference Frame Selection for New and Existing Methods", Sensors 23(7):3740, 2023,
+doi:10.3390/s23073740, section III-B:
+
+    min over (theta, t, alpha) of  sum alpha |M|^2 + (1 - alpha) c,
+    0 <= alpha <= 1,   sum alpha >= d M.
+
+The cost has many minima. Three ways down:
+
+* ``ipopt``: extrinsic and weights in one nonlinear program, as in the paper, from the paper's
+  start and to the paper's tolerance; it repeats the published figures.
+* ``path``: the same central path with the weights eliminated in closed form, many times faster
+  for many motions, then exact weights and exact extrinsic in turn.
+* ``alternating``: exact weights and exact extrinsic in turn only, from parts of the drive.
+
+``auto`` takes ``ipopt`` for few motions and ``path`` for many, ends with every weight on its
+bound, and gives way to ``alternating`` where that finds a clearly lower cost: minima a few percent
+apart are the roughness of the trimmed cost, and there the smooth path tends to lie closer to the
+truth (docs/solvers.md has the figures).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers.dnl import symbolic_monomials
+from trajectory_calibration.solvers.separable import solve_separable
+from trajectory_calibration.solvers.solution import Solution
+from trajectory_calibration.solvers.trimmed import Candidates, TrimmedCost, UPPER
+
+# Up to this many motions the nonlinear program takes less than about a tenth of a second.
+_IPOPT_MOTIONS = 500
+
+# A cost below this share of another is clearly lower.
+_CLEARLY_LOWER = 0.95
+
+# Starts of the alternation: consecutive parts of the drive, each solved alone.
+_PARTS = 8
+
+# The paper's start: rotation vector, translation and all weights. The authors' rotation matrix
+# is the transpose of the usual one, hence the signs.
+_PAPER_START = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+
+# Ipopt's own tolerances and scaling, as in the paper.
+_IPOPT_OPTIONS = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
+
+
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the extrinsic and the motions it keeps (cost: rotation entries squared + m^2).
+
+    Raises
+    ------
+    MotionError
+        The motions that are kept leave a direction of the extrinsic free; the message names it.
+    SolverError
+        Ipopt stopped before a minimum.
+
+    """
+    cost = TrimmedCost(motions, config.dnlo_c, config.dnlo_min_inliers)
+    G = cost.gram(np.ones((len(motions), 1)))[0]
+    quadratic.require_translation(G, len(motions))
+    best, steps = _minimise(cost, motions, G, config.dnlo_method)
+    return _finish(best, cost, motions, steps)
+
+
+def _minimise(
+    cost: TrimmedCost, motions: MotionPairs, G: FloatArray, method: str,
+) -> tuple[Candidates, int]:
+    """Go down one way, or as ``auto`` the way that suits the number of motions."""
+    if method == 'alternating':
+        return cost.alternate(_starts(motions, G))
+    if method == 'ipopt':
+        return _minimise_with_ipopt(cost)
+    if method == 'auto' and len(motions) <= _IPOPT_MOTIONS:
+        joint, steps = _minimise_with_ipopt(cost)
+        T_a_b = joint.T_a_b[0]
+    else:
+        T_a_b, steps = cost.follow_central_path(quadratic.minimise(G).T_a_b)
+    best, more = cost.alternate(T_a_b[None])
+    if method == 'auto':
+        best = _clearly_lower(best, cost.alternate(_starts(motions, G))[0])
+    return best, steps + more
+
+
+def _finish(
+    best: Candidates, cost: TrimmedCost, motions: MotionPairs, steps: int,
+) -> Solution:
+    """Test what the kept motions determine, then take the last digits from the residuals."""
+    T_a_b, weights = best.T_a_b[0], best.weights[:, 0]
+    G = cost.gram(weights[:, None])[0]
+    quadratic.require_translation(G, int(np.count_nonzero(weights)))
+    quadratic.require_rotation(G, T_a_b)
+    return Solution(
+        quadratic.polish(T_a_b, motions, weights=weights), float(best.cost[0]), steps,
+        inliers=weights > 0.5)
+
+
+def _clearly_lower(first: Candidates, second: Candidates) -> Candidates:
+    # Without noise both are rounding errors, and their ratio says nothing.
+    lower = second.cost[0] < _CLEARLY_LOWER * first.cost[0] - 1e-12
+    return second if lower else first
+
+
+def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
+    """Return (S, 4, 4) extrinsics: of all motions by two methods, and of parts of the drive."""
+    starts = [quadratic.minimise(G).T_a_b]
+    every = np.arange(len(motions))
+    for part in (every, *np.array_split(every, _PARTS)):
+        some = MotionPairs(motions.reference, motions.i[part], motions.j[part],
+                           motions.A[part], motions.B[part], motions.pairs)
+        try:
+            starts.append(solve_separable(some).T_a_b)
+        except MotionError:
+            # A part without turns is no start; the caller has tested the whole.
+            continue
+    return np.array(starts)
+
+
+def _minimise_with_ipopt(cost: TrimmedCost) -> tuple[Candidates, int]:
+    """Minimise over extrinsic and weights together; return them and the iterations."""
+    motions = len(cost.features)
+    solver = _program(motions)
+    found = solver(
+        x0=np.concatenate([_PAPER_START, np.ones(motions)]),
+        p=np.append(cost.features.ravel(order='F'), cost.c),
+        lbx=np.concatenate([np.full(6, -np.inf), np.zeros(motions)]),
+        ubx=np.concatenate([np.full(6, np.inf), np.ones(motions)]),
+        lbg=cost.least, ubg=np.inf)
+    stats = solver.stats()
+    if not stats['success']:
+        raise SolverError(
+            f'Ipopt stopped with {stats["return_status"]} after {stats["iter_count"]} iterations; '
+            'set dnlo_method to path')
+    x = found['x'].full().ravel()
+    T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]), x[3:6])
+    value = float(found['f']) + motions * cost.c
+    return Candidates(T_a_b[None], x[6:, None], np.array([value])), int(stats['iter_count'])
+
+
+@lru_cache(maxsize=8)
+def _program(motions: int) -> Any:
+    """Build the program for that many motions; their features and c are its parameters."""
+    # Loaded here because it takes a third of a second, and as Any because its own annotations
+    # refuse its own expressions.
+    ca: Any = import_module('casadi')
+    theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
+    v = symbolic_monomials(ca, theta, t, ca.SX(np.eye(3).ravel()))
+    products = ca.vertcat(*(v[int(i)] * v[int(j)] for i, j in zip(*UPPER, strict=True)))
+    phi = ca.Function('phi', [theta, t], [products])
+    x = ca.MX.sym('x', 6 + motions)
+    p = ca.MX.sym('p', 91 * motions + 1)
+    alpha = x[6:]
+    squares = ca.mtimes(ca.reshape(p[:-1], motions, 91), phi(x[:3], x[3:6]))
+    # The constant M c is left out, as in the authors' program: Ipopt's scaling sees the rest.
+    cost = ca.dot(alpha, squares) - p[-1] * ca.sum1(alpha)
+    return ca.nlpsol(
+        'dnlo', 'ipopt', {'x': x, 'p': p, 'f': cost, 'g': ca.sum1(alpha)}, _IPOPT_OPTIONS)
