@@ -1,0 +1,258 @@
+"""A running node and a client of it, over real DDS, isolated from everything else.
+
+A test module begins with ``ros = pytest.importorskip('ros_helpers', reason=...)``, which skips
+it where ROS is missing.
+"""
+
+from contextlib import contextmanager
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    TransformStamped,
+)
+from nav_msgs.msg import Odometry, Path
+import numpy as np
+from rcl_interfaces.srv import GetParameters, SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from trajectory_calibration import se3
+
+__all__ = [
+    'TYPES',
+    'Client',
+    'GetParameters',
+    'NodeProcess',
+    'Parameter',
+    'SetParameters',
+    'drive',
+    'running',
+    'to_message',
+]
+
+LIMIT_S = 30.0
+TYPES = {
+    'Odometry': Odometry,
+    'PoseStamped': PoseStamped,
+    'PoseWithCovarianceStamped': PoseWithCovarianceStamped,
+    'Path': Path,
+}
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=5000)
+
+# Where the extrinsic of every simulated pair lies.
+T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
+
+_numbers = itertools.count(os.getpid())
+
+
+def drive(poses=100, rate_hz=10.0, start_s=1000.0, seed=3):
+    """Return (N,) stamps and the (N, 4, 4) poses of both sensors on a noise-free 3-D drive."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(poses) / rate_hz
+    phases, rates = rng.uniform(0, 6, (2, 6)), rng.uniform(0.3, 1.2, (2, 6))
+    amplitudes = np.array([[0.05] * 3 + [0.06] * 3, [0.03] * 3 + [0.04] * 3])
+    amplitudes[0, 0] = 0.1
+    twists = (amplitudes[:, None] * np.sin(time_s[:, None] * rates[:, None] + phases[:, None]))
+    steps = se3.exp_se3(twists.sum(0))
+    T_w_a = np.empty_like(steps)
+    T_w_a[0] = np.eye(4)
+    for k in range(1, poses):
+        T_w_a[k] = T_w_a[k - 1] @ steps[k]
+    T_v_b = se3.exp_se3([5.0, -2.0, 1.0, 0.2, 0.1, -0.9]) @ T_w_a @ T_A_B
+    stamps_ns = (np.round((start_s + time_s) * 1e9)).astype(np.int64)
+    return stamps_ns, T_w_a, T_v_b
+
+
+def to_message(type_name, stamp_ns, T_w_s, frame='map', child='sensor'):
+    """Return one pose as a message of the type (not Path)."""
+    header = Header(frame_id=frame)
+    header.stamp.sec, header.stamp.nanosec = divmod(int(stamp_ns), 1_000_000_000)
+    x, y, z = map(float, T_w_s[:3, 3])
+    qx, qy, qz, qw = map(float, se3.rotation_to_quaternion(T_w_s[:3, :3]))
+    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    if type_name == 'Odometry':
+        return Odometry(
+            header=header, child_frame_id=child, pose=PoseWithCovariance(pose=pose))
+    if type_name == 'PoseStamped':
+        return PoseStamped(header=header, pose=pose)
+    return PoseWithCovarianceStamped(header=header, pose=PoseWithCovariance(pose=pose))
+
+
+def to_path(stamps_ns, poses, frame='map'):
+    """Return a whole trajectory as one message."""
+    return Path(header=Header(frame_id=frame), poses=[
+        to_message('PoseStamped', stamp, pose, frame)
+        for stamp, pose in zip(stamps_ns, poses, strict=True)])
+
+
+class NodeProcess:
+    """``calibration_node`` in a process of its own; its log goes to a file."""
+
+    def __init__(self, folder, domain, namespace, arguments=()):
+        self.log_path = folder / f'node_{next(_numbers)}.log'
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(folder),
+                       'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'OMP_NUM_THREADS': '1'}
+        with self.log_path.open('wb') as log:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'trajectory_calibration.ros.node', '--ros-args',
+                 '-r', f'__ns:={namespace}', *arguments],
+                stdout=log, stderr=subprocess.STDOUT, env=environment)
+
+    @property
+    def log(self):
+        """What the node has written so far."""
+        return self.log_path.read_text(errors='replace')
+
+    def stop(self, number=signal.SIGINT):
+        """Send a signal; return the exit status and the seconds that the end took."""
+        start = time.monotonic()
+        self.process.send_signal(number)
+        status = self.process.wait(LIMIT_S)
+        return status, time.monotonic() - start
+
+
+class Client:
+    """The rest of the vehicle: publishes trajectories, calls services, listens."""
+
+    def __init__(self, domain, namespace):
+        self.domain, self.namespace = domain, namespace
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node('client', namespace=namespace, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.diagnostics = {}
+        self._services = {}
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+
+    def close(self):
+        """Leave the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def wait(self, condition, what='the condition'):
+        """Spin until the condition holds; fail after the limit."""
+        deadline = time.monotonic() + LIMIT_S
+        while not condition():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f'waited {LIMIT_S:g} s for {what}')
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def publisher(self, topic, type_name='Odometry', qos=RELIABLE):
+        """Return a publisher that the node has found."""
+        publisher = self.node.create_publisher(TYPES[type_name], topic, qos)
+        self.wait(lambda: publisher.get_subscription_count() > 0, f'a subscription on {topic}')
+        return publisher
+
+    def publish_drive(self, stamps_ns, poses_a, poses_b, types=('Odometry', 'Odometry')):
+        """Publish both trajectories whole and wait until the node holds them."""
+        publishers = [
+            self.publisher(topic, type_name)
+            for topic, type_name in zip(('trajectory_a', 'trajectory_b'), types, strict=True)]
+        frames = (('map', 'lidar'), ('odom', 'camera'))
+        for publisher, type_name, poses, (frame, child) in zip(
+                publishers, types, (poses_a, poses_b), frames, strict=True):
+            if type_name == 'Path':
+                publisher.publish(to_path(stamps_ns, poses, frame))
+                continue
+            for stamp, pose in zip(stamps_ns, poses, strict=True):
+                publisher.publish(to_message(type_name, stamp, pose, frame, child))
+        self.wait_for_poses(len(stamps_ns), len(stamps_ns))
+        return publishers
+
+    def wait_for_poses(self, count_a, count_b):
+        """Wait until the diagnostics say that so many poses are held."""
+        self.wait(lambda: (self.value('trajectory_a', 'poses') == str(count_a)
+                           and self.value('trajectory_b', 'poses') == str(count_b)),
+                  f'{count_a} and {count_b} poses')
+
+    def value(self, part, key):
+        """Return a value of the latest diagnostics, or None."""
+        status = self.status(part)
+        return None if status is None else {v.key: v.value for v in status.values}.get(key)
+
+    def status(self, part):
+        """Return the latest diagnostic status of a part of the node, or None."""
+        return self.diagnostics.get(f'{self.namespace}/trajectory_calibration: {part}')
+
+    def start_call(self, name, kind=Trigger, request=None):
+        """Call a service of the node; return the future of its answer."""
+        key = (name, kind)
+        if key not in self._services:
+            self._services[key] = self.node.create_client(kind, f'trajectory_calibration/{name}')
+        client = self._services[key]
+        self.wait(client.service_is_ready, f'the service {name}')
+        return client.call_async(kind.Request() if request is None else request)
+
+    def call(self, name, kind=Trigger, request=None):
+        """Call a service of the node and return its answer."""
+        future = self.start_call(name, kind, request)
+        self.wait(future.done, f'the answer of {name}')
+        return future.result()
+
+    def set_parameter(self, name, value):
+        """Set a parameter of the node; return the result."""
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()])
+        return self.call('set_parameters', SetParameters, request).results[0]
+
+    def latched(self, topic='extrinsic', kind=TransformStamped):
+        """Return a list that receives the messages of a latched topic of the node."""
+        messages = []
+
+        def receive(message):
+            messages.append(message)
+        self.node.create_subscription(kind, f'trajectory_calibration/{topic}', receive, LATCHED)
+        return messages
+
+    def _on_diagnostics(self, message):
+        for status in message.status:
+            self.diagnostics[status.name] = status
+
+
+@contextmanager
+def running(folder, *arguments):
+    """Yield a node in its own process and a client of it, in a domain of their own."""
+    number = next(_numbers)
+    domain, namespace = 1 + number % 101, f'/test_{os.getpid()}_{number}'
+    previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    client = Client(domain, namespace)
+    node = NodeProcess(folder, domain, namespace, arguments)
+    try:
+        yield node, client
+    finally:
+        client.close()
+        if node.process.poll() is None:
+            node.process.kill()
+        node.process.wait(LIMIT_S)
+        if previous is None:
+            del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
+        else:
+            os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = previous
+
+
+def matrix(message):
+    """Return the (4, 4) transform of a TransformStamped."""
+    t, q = message.transform.translation, message.transform.rotation
+    R = se3.quaternion_to_rotation([q.x, q.y, q.z, q.w])
+    return se3.from_rotation_translation(R, [t.x, t.y, t.z])

@@ -1,0 +1,299 @@
+"""The node in its own process, over real DDS."""
+
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+
+ros = pytest.importorskip(
+    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+
+# The fastest solver; the others run where it matters that they do.
+TAYLOR = ('-p', 'solver:=taylor')
+
+
+@pytest.mark.parametrize('types', [
+    ('Odometry', 'Odometry'),
+    ('PoseStamped', 'PoseWithCovarianceStamped'),
+    ('Path', 'Odometry'),
+])
+def test_extrinsic_of_noise_free_motion_is_exact(tmp_path, types):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'frame_b:=camera') as (_, client):
+        client.publish_drive(*ros.drive(), types=types)
+        extrinsic = client.latched()
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
+    # Of the types of a, only Odometry names the sensor.
+    expected = 'lidar' if types[0] == 'Odometry' else 'sensor_a'
+    assert extrinsic[0].header.frame_id == expected
+    assert extrinsic[0].child_frame_id == 'camera'
+    assert f'{expected} -> camera: translation [0.33' in answer.message
+
+
+def test_default_settings_calibrate_too(tmp_path):
+    with ros.running(tmp_path) as (_, client):
+        client.publish_drive(*ros.drive())
+        extrinsic = client.latched()
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-6)
+
+
+def test_a_late_joiner_gets_the_latched_extrinsic(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        late = client.latched()
+        client.wait(lambda: late, 'the latched extrinsic')
+    assert np.allclose(ros.matrix(late[0]), ros.T_A_B, atol=1e-10)
+
+
+def test_a_failure_says_why_and_keeps_the_previous_answer(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        nothing = client.call('calibrate')
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        extrinsic = client.latched()
+        client.wait(lambda: extrinsic, 'the extrinsic')
+        reset = client.call('reset')
+        failed = client.call('calibrate')
+        late = client.latched()
+        client.wait(lambda: late, 'the latched extrinsic')
+        client.wait(lambda: client.status('calibration').message.startswith(
+            'calibration failed'), 'the failure in the diagnostics')
+    assert not nothing.success and '0 poses received' in nothing.message
+    assert reset.success and 'forgot 100 poses of a and 100 of b' in reset.message
+    assert not failed.success and '0 poses received' in failed.message
+    assert len(extrinsic) == 1
+    assert late == extrinsic
+
+
+def test_reset_starts_a_new_collection(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        publishers = client.publish_drive(stamps_ns, poses_a, poses_b)
+        client.call('reset')
+        client.wait_for_poses(0, 0)
+        # The same stamps again: without the reset they would be late.
+        for publisher, poses, (frame, child) in zip(
+                publishers, (poses_a, poses_b), (('map', 'lidar'), ('odom', 'camera')),
+                strict=True):
+            for stamp, pose in zip(stamps_ns, poses, strict=True):
+                publisher.publish(ros.to_message('Odometry', stamp, pose, frame, child))
+        client.wait_for_poses(100, 100)
+        assert client.call('calibrate').success
+
+
+def test_receiving_goes_on_and_a_second_call_is_refused_while_solving(tmp_path):
+    # Long enough that the solver process is still at work when the next calls arrive.
+    with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive(poses=3000)
+        publishers = client.publish_drive(stamps_ns[:-50], poses_a[:-50], poses_b[:-50])
+        first = client.start_call('calibrate')
+        second = client.call('calibrate')
+        assert not first.done()
+        for stamp, pose in zip(stamps_ns[-50:], poses_a[-50:], strict=True):
+            publishers[0].publish(ros.to_message('Odometry', stamp, pose, 'map', 'lidar'))
+        for stamp, pose in zip(stamps_ns[-50:], poses_b[-50:], strict=True):
+            publishers[1].publish(ros.to_message('Odometry', stamp, pose, 'odom', 'camera'))
+        client.wait_for_poses(3000, 3000)
+        client.wait(first.done, 'the first answer')
+    assert not second.success and second.message.startswith('busy')
+    assert first.result().success, first.result().message
+    assert 'of 2950 poses' in first.result().message
+
+
+def test_reset_and_timeout_stop_a_calibration(tmp_path):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'calibration_timeout:=0.1') as (_, client):
+        client.publish_drive(*ros.drive())
+        # Starting an interpreter takes longer than that.
+        late = client.call('calibrate')
+        assert client.set_parameter('calibration_timeout', 60.0).successful
+        pending = client.start_call('calibrate')
+        # Both requests are on their way before the solver can have answered.
+        reset = client.start_call('reset')
+        client.wait(lambda: pending.done() and reset.done(), 'both answers')
+        again = client.call('calibrate')
+    assert not late.success and 'no answer within 0.1 s' in late.message
+    assert not pending.result().success and 'reset' in pending.result().message
+    assert not again.success and '0 poses received' in again.message
+
+
+def test_bad_messages_are_counted_and_harmless(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (node, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        a = client.publisher('trajectory_a')
+        b = client.publisher('trajectory_b')
+        second_ns = 1_000_000_000
+        for k, (stamp, pose_a, pose_b) in enumerate(
+                zip(stamps_ns, poses_a, poses_b, strict=True)):
+            good = ros.to_message('Odometry', stamp, pose_a, 'map', 'lidar')
+            a.publish(good)
+            b.publish(ros.to_message('Odometry', stamp, pose_b, 'odom', 'camera'))
+            if k == 40:
+                bad = ros.to_message('Odometry', stamp + 1, pose_a, 'map', 'lidar')
+                bad.pose.pose.position.x = float('nan')
+                a.publish(bad)
+                bad = ros.to_message('Odometry', stamp + 1, pose_a, 'map', 'lidar')
+                bad.pose.pose.orientation.w += 0.5
+                a.publish(bad)
+                a.publish(good)
+                for late_ns in (second_ns // 2, second_ns):
+                    a.publish(ros.to_message('Odometry', stamp - late_ns, pose_a, 'map', 'lidar'))
+                a.publish(ros.to_message('Odometry', 0, pose_a, 'map', 'lidar'))
+                a.publish(ros.to_message('Odometry', stamp + 1, pose_a, 'earth', 'lidar'))
+        client.wait_for_poses(100, 100)
+        answer = client.call('calibrate')
+        client.wait(lambda: 'poses refused' in node.log, 'the log to mention it')
+        counts = {key: client.value('trajectory_a', f'refused: {key}') for key in (
+            'not finite', 'not a unit quaternion', 'duplicate stamp', 'out of order',
+            'stray stamp', 'other frame')}
+    assert answer.success, answer.message
+    assert '7 poses refused' in answer.message
+    assert counts == {
+        'not finite': '1', 'not a unit quaternion': '1', 'duplicate stamp': '1',
+        'out of order': '2', 'stray stamp': '1', 'other frame': '1'}
+
+
+def test_a_bag_that_loops_starts_anew(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive(poses=150)
+        a, b = client.publish_drive(stamps_ns, poses_a, poses_b)
+        for stamp, pose_a, pose_b in zip(
+                stamps_ns[:60], poses_a[:60], poses_b[:60], strict=True):
+            a.publish(ros.to_message('Odometry', stamp, pose_a, 'map', 'lidar'))
+            b.publish(ros.to_message('Odometry', stamp, pose_b, 'odom', 'camera'))
+        client.wait_for_poses(60, 60)
+        answer = client.call('calibrate')
+        assert client.value('trajectory_a', 'clock jumps') == '1'
+    assert answer.success, answer.message
+    assert 'of 60 poses' in answer.message
+
+
+def test_a_republished_path_replaces_the_old_one(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        path_a = client.publisher('trajectory_a', 'Path')
+        path_b = client.publisher('trajectory_b', 'Path')
+        # Before the loop closure b was bent; the optimised path is right.
+        bent = poses_b @ ros.se3.exp_se3(np.linspace(0, 0.3, 100)[:, None] * np.ones(6))
+        path_a.publish(ros.to_path(stamps_ns, poses_a))
+        path_b.publish(ros.to_path(stamps_ns[:90], bent[:90]))
+        client.wait_for_poses(100, 90)
+        path_b.publish(ros.to_path(stamps_ns, poses_b))
+        client.wait_for_poses(100, 100)
+        extrinsic = client.latched()
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
+
+
+def test_both_qualities_of_service_and_a_remapped_topic_match(tmp_path):
+    arguments = ('-r', 'trajectory_a:=lidar_slam/odometry', '-p', 'topic_b:=visual_slam/pose')
+    with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):
+        a = client.publisher('lidar_slam/odometry', qos=ros.BEST_EFFORT)
+        b = client.publisher('visual_slam/pose', 'PoseStamped')
+        stamps_ns, poses_a, poses_b = ros.drive(poses=20)
+        for stamp, pose_a, pose_b in zip(stamps_ns, poses_a, poses_b, strict=True):
+            a.publish(ros.to_message('Odometry', stamp, pose_a))
+            b.publish(ros.to_message('PoseStamped', stamp, pose_b))
+        client.wait_for_poses(20, 20)
+        log = node.log
+    assert 'lidar_slam/odometry (best_effort)' in log
+    assert 'visual_slam/pose (reliable)' in log
+
+
+def test_the_status_says_what_is_missing(tmp_path):
+    with ros.running(tmp_path, '-p', 'type_b:=Odometry') as (_, client):
+        client.wait(lambda: client.status('trajectory_a') is not None, 'diagnostics')
+        waiting = client.status('trajectory_a')
+        # One participant cannot give a topic two types; two vehicles' worth of nodes can.
+        other = ros.Client(client.domain, client.namespace)
+        try:
+            client.node.create_publisher(ros.TYPES['Odometry'], 'trajectory_a', 10)
+            other.node.create_publisher(ros.TYPES['PoseStamped'], 'trajectory_a', 10)
+            other.node.create_publisher(ros.TYPES['PoseStamped'], 'trajectory_b', 10)
+            client.wait(lambda: 'set the type parameter' in client.status(
+                'trajectory_a').message, 'two types')
+            client.wait(lambda: 'the parameter says nav_msgs/msg/Odometry' in client.status(
+                'trajectory_b').message, 'the wrong type')
+        finally:
+            other.close()
+    assert waiting.level == b'\x01'
+    assert 'no publisher on' in waiting.message
+
+
+def test_parameters_are_refused_or_taken_at_run_time(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        refused = [client.set_parameter(name, value) for name, value in (
+            ('max_gap', -1.0), ('reference', 'B0'), ('solver', 'magic'), ('max_gap', 'long'),
+            ('topic_a', 'elsewhere'), ('max_gaps', 1.0))]
+        taken = [client.set_parameter(name, value) for name, value in (
+            ('max_gap', 1), ('reference', 'B2'), ('frame_a', 'roof_lidar'))]
+        client.publish_drive(*ros.drive())
+        answer = client.call('calibrate')
+        types = client.call('get_parameters', ros.GetParameters, ros.GetParameters.Request(
+            names=['max_gap', 'reference'])).values
+    assert [result.successful for result in refused] == [False] * len(refused)
+    assert all(result.reason for result in refused)
+    assert 'needed' in refused[1].reason and 'taylor' in refused[2].reason
+    assert all(result.successful for result in taken), taken
+    assert answer.success and answer.message.startswith('roof_lidar -> camera')
+    assert '98 motions of 100 poses' in answer.message
+    assert types[0].integer_value == 1 and types[1].string_value == 'B2'
+
+
+@pytest.mark.parametrize('arguments, sentence', [
+    (('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
+    (('-p', 'solver:=magic'), "solver 'magic' is unknown"),
+    (('-p', 'max_gaps:=1.0'), "parameter 'max_gaps' is unknown"),
+    (('-p', 'type_a:=sensor_msgs/msg/Imu'), 'cannot serve as a trajectory'),
+    (('-p', 'topic_a:=trajectory_b'), 'topic_a and topic_b are both'),
+    (('-p', 'topic_a:=a//b'), 'is not a name of a topic'),
+    (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
+])
+def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
+        tmp_path, arguments, sentence):
+    node = ros.NodeProcess(tmp_path, 1, '/test_start', arguments)
+    try:
+        assert node.process.wait(ros.LIMIT_S) == 2
+    finally:
+        node.process.kill()
+    assert sentence in node.log
+    assert 'Traceback' not in node.log
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_the_node_cleanly(tmp_path, number):
+    for _ in range(4):
+        with ros.running(tmp_path) as (node, client):
+            client.wait(lambda client=client: client.status('calibration') is not None, 'the node')
+            status, seconds = node.stop(number)
+        assert (status, 'Traceback' in node.log) == (0, False), node.log
+        assert seconds < 1.0
+
+
+def test_a_signal_while_solving_leaves_no_process_behind(tmp_path):
+    with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
+        client.publish_drive(*ros.drive(poses=2000))
+        client.start_call('calibrate')
+        children = []
+
+        def solving():
+            listing = subprocess.run(
+                ['ps', '-o', 'pid=', '--ppid', str(node.process.pid)],
+                capture_output=True, text=True, check=False).stdout
+            children[:] = listing.split()
+            return children
+        client.wait(solving, 'the solver process')
+        status, seconds = node.stop()
+    assert (status, 'Traceback' in node.log) == (0, False), node.log
+    assert seconds < 1.0
+    alive = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)],
+                           capture_output=True, text=True, check=False).stdout
+    assert alive.split() == []

@@ -1,0 +1,301 @@
+"""The poses of one sensor as they arrive: bounded, checked, ready to be calibrated from.
+
+Nothing here imports ROS, so that a replay of a bag runs through the same code as the node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
+
+# A stamp this far behind the newest came late; further behind, or this far ahead, either it is
+# wrong or the clock jumped. The poses that follow decide which.
+JUMP_NS = 5_000_000_000
+# So many poses in a row must agree before a jump of the clock, or new frames, are believed.
+CONFIRMATIONS = 3
+
+_FIRST_ALLOCATION = 1024
+
+# Position x, y, z (metres) and quaternion x, y, z, w.
+PoseTuple = tuple[float, float, float, float, float, float, float]
+
+
+class Refusal(str, Enum):
+    """Why a pose did not enter the buffer; the words of the diagnostics."""
+
+    NOT_FINITE = 'not finite'
+    NOT_UNIT = 'not a unit quaternion'
+    DUPLICATE = 'duplicate stamp'
+    OUT_OF_ORDER = 'out of order'
+    STRAY_STAMP = 'stray stamp'
+    OTHER_FRAME = 'other frame'
+
+
+@dataclass(frozen=True)
+class BufferLimits:
+    """How much a buffer keeps.
+
+    Attributes
+    ----------
+    max_poses : poses; the oldest leave first.
+    max_age_s : seconds between the oldest and the newest pose.
+    still_after_s : seconds without motion after which a sensor stands still; from then on only
+        the newest pose of the standstill is kept.
+    still_distance, still_angle_deg : metres and degrees; less is no motion. With a distance of 0
+        everything is motion.
+
+    """
+
+    max_poses: int = 100_000
+    max_age_s: float = 28_800.0
+    still_after_s: float = 2.0
+    still_distance: float = 0.02
+    still_angle_deg: float = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What a buffer held at one moment; independent of it, cheap to send to another process.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64, strictly increasing.
+    poses : (N, 7) position x, y, z (metres) and quaternion x, y, z, w in the world.
+    world_frame, sensor_frame : names of the two frames.
+    warnings : what was refused, for the result.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    world_frame: str
+    sensor_frame: str
+    warnings: tuple[str, ...] = ()
+
+    def trajectory(self) -> Trajectory:
+        """Return the poses as a Trajectory; raises TrajectoryError for fewer than two."""
+        if len(self.stamps_ns) < 2:
+            notes = ''.join(f'; {note}' for note in self.warnings)
+            raise TrajectoryError(
+                f'{self.sensor_frame}: {len(self.stamps_ns)} poses received, needed at least 2; '
+                f'check that the topic is published and drive{notes}')
+        return Trajectory.from_quaternions(
+            self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
+            self.sensor_frame, self.warnings)
+
+
+class PoseBuffer:
+    """The newest poses of one sensor, in order, in arrays that do not grow beyond a bound.
+
+    A bad pose is counted and refused, never an error: a vehicle keeps driving.
+
+    Attributes
+    ----------
+    messages : messages taken since the start or the last ``clear``.
+    still : poses dropped because the sensor stood still.
+    clock_jumps : times the clock went back and the buffer started anew.
+    refused : count of refused poses for each Refusal.
+    world_frame, sensor_frame : names of the frames in the messages held, or ''.
+
+    """
+
+    def __init__(self, limits: BufferLimits) -> None:
+        self._limits = limits
+        self._max_age_ns = round(limits.max_age_s * 1e9)
+        self._still_after_ns = round(limits.still_after_s * 1e9)
+        self._still_distance_squared = limits.still_distance**2
+        self._still_cosine = math.cos(math.radians(limits.still_angle_deg) / 2)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all poses, frames and counts."""
+        self.messages = 0
+        self.still = 0
+        self.clock_jumps = 0
+        self.refused = dict.fromkeys(Refusal, 0)
+        self._forget_poses()
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory held for poses."""
+        return self._stamps.nbytes + self._poses.nbytes
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Stamps of the oldest and the newest pose, or None where there is none."""
+        if not len(self):
+            return None
+        return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
+
+    def append(
+        self, stamp_ns: int, world_frame: str, sensor_frame: str, pose: PoseTuple,
+    ) -> None:
+        """Take one pose as it arrives, or count why not."""
+        self.messages += 1
+        fault = _fault(pose)
+        if fault is not None:
+            self.refused[fault] += 1
+            return
+        if world_frame != self.world_frame or sensor_frame != self.sensor_frame:
+            if len(self) >= CONFIRMATIONS:
+                self.refused[Refusal.OTHER_FRAME] += 1
+                return
+            self._forget_poses()
+            self.world_frame, self.sensor_frame = world_frame, sensor_frame
+        step = stamp_ns - self._last_ns
+        if 0 < step <= JUMP_NS or not len(self):
+            self._drop_strays()
+            self._store(stamp_ns, pose)
+        elif step == 0:
+            self.refused[Refusal.DUPLICATE] += 1
+        elif -JUMP_NS <= step < 0:
+            self.refused[Refusal.OUT_OF_ORDER] += 1
+        else:
+            self._consider_jump(stamp_ns, pose)
+
+    def replace(
+        self,
+        stamps_ns: NDArray[np.int64],
+        poses: FloatArray,
+        world_frame: str,
+        sensor_frame: str = '',
+    ) -> None:
+        """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
+
+        For a SLAM that publishes its optimised path again and again. The counts of refused
+        poses are those of this trajectory.
+        """
+        self._forget_poses()
+        self.messages += 1
+        self.world_frame, self.sensor_frame = world_frame, sensor_frame
+        finite = np.isfinite(poses).all(axis=1)
+        norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
+        unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
+        good = np.flatnonzero(finite & unit)
+        order = good[np.argsort(stamps_ns[good], kind='stable')]
+        first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
+        kept = order[first][-self._limits.max_poses:]
+        self.refused = dict.fromkeys(Refusal, 0)
+        self.refused[Refusal.NOT_FINITE] = int(np.count_nonzero(~finite))
+        self.refused[Refusal.NOT_UNIT] = int(np.count_nonzero(finite & ~unit))
+        self.refused[Refusal.DUPLICATE] = int(np.count_nonzero(~first))
+        self._stamps, self._poses = stamps_ns[kept].astype(np.int64), poses[kept].astype(float)
+        self._start, self._end = 0, len(kept)
+        if len(kept):
+            self._last_ns = int(self._stamps[-1])
+
+    def snapshot(self, name: str, sensor_frame: str = '') -> Track:
+        """Return a copy of what is held.
+
+        Parameters
+        ----------
+        name : str
+            Of the sensor where neither ``sensor_frame`` nor the messages name one.
+        sensor_frame : str
+            Overrides the name in the messages.
+
+        """
+        frame = sensor_frame or self.sensor_frame or name
+        return Track(
+            self._stamps[self._start:self._end].copy(),
+            self._poses[self._start:self._end].copy(),
+            self.world_frame,
+            frame,
+            tuple(f'{frame}: {note}' for note in [self.refusals()] if note))
+
+    def refusals(self) -> str:
+        """Return the counts of refused poses in words, or '' where none was."""
+        counts = [f'{count} {why.value}' for why, count in self.refused.items() if count]
+        total = sum(self.refused.values())
+        return f'{total} poses refused ({", ".join(counts)})' if total else ''
+
+    def _forget_poses(self) -> None:
+        self.world_frame = self.sensor_frame = ''
+        self._stamps = np.empty(0, np.int64)
+        self._poses = np.empty((0, 7))
+        self._start = self._end = 0
+        self._last_ns = 0
+        self._anchor: tuple[int, PoseTuple] | None = None
+        self._jump: list[tuple[int, PoseTuple]] = []
+
+    def _drop_strays(self) -> None:
+        if self._jump:
+            self.refused[Refusal.STRAY_STAMP] += len(self._jump)
+            self._jump.clear()
+
+    def _consider_jump(self, stamp_ns: int, pose: PoseTuple) -> None:
+        """Hold a pose whose stamp is far off until the next ones show whether the clock jumped."""
+        if self._jump and stamp_ns <= self._jump[-1][0]:
+            self._drop_strays()
+        self._jump.append((stamp_ns, pose))
+        if len(self._jump) < CONFIRMATIONS:
+            return
+        confirmed, self._jump = self._jump, []
+        if confirmed[0][0] < self._last_ns:
+            frames = self.world_frame, self.sensor_frame
+            self._forget_poses()
+            self.world_frame, self.sensor_frame = frames
+            self.clock_jumps += 1
+        for stamp, held in confirmed:
+            self._store(stamp, held)
+
+    def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
+        self._last_ns = stamp_ns
+        if self._anchor is None or self._moved(self._anchor[1], pose):
+            self._anchor = stamp_ns, pose
+        elif (stamp_ns - self._anchor[0] > self._still_after_ns
+              and self._stamps[self._end - 1] > self._anchor[0]):
+            # The newest pose of a standstill replaces the one before: when motion resumes, the
+            # pose just before it is there to interpolate from.
+            self._end -= 1
+            self.still += 1
+        if self._end == len(self._stamps):
+            self._make_room()
+        self._stamps[self._end] = stamp_ns
+        self._poses[self._end] = pose
+        self._end += 1
+        oldest = stamp_ns - self._max_age_ns
+        while (self._end - self._start > self._limits.max_poses
+               or self._stamps[self._start] < oldest):
+            self._start += 1
+
+    def _moved(self, before: PoseTuple, after: PoseTuple) -> bool:
+        x, y, z = after[0] - before[0], after[1] - before[1], after[2] - before[2]
+        if x * x + y * y + z * z >= self._still_distance_squared:
+            return True
+        cosine = abs(before[3] * after[3] + before[4] * after[4] + before[5] * after[5]
+                     + before[6] * after[6])
+        return cosine < self._still_cosine
+
+    def _make_room(self) -> None:
+        """Move the poses held to the front of arrays of twice their number, within the bound.
+
+        With room for twice ``max_poses`` the move happens once in ``max_poses`` poses.
+        """
+        held = slice(self._start, self._end)
+        count = self._end - self._start
+        size = min(max(2 * count, _FIRST_ALLOCATION), 2 * self._limits.max_poses)
+        stamps, poses = np.empty(size, np.int64), np.empty((size, 7))
+        stamps[:count], poses[:count] = self._stamps[held], self._poses[held]
+        self._stamps, self._poses = stamps, poses
+        self._start, self._end = 0, count
+
+
+def _fault(pose: PoseTuple) -> Refusal | None:
+    x, y, z, qx, qy, qz, qw = pose
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    # Written so that NaN fails.
+    if abs(norm - 1.0) <= ROTATION_TOLERANCE and math.isfinite(x + y + z):
+        return None
+    return Refusal.NOT_UNIT if math.isfinite(x + y + z + norm) else Refusal.NOT_FINITE

@@ -1,0 +1,89 @@
+"""What the node knows about itself, as diagnostic_msgs."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from trajectory_calibration.ros.buffer import PoseBuffer
+from trajectory_calibration.ros.topics import TopicStatus
+
+# A topic without a message for so long is reported as silent, seconds.
+_SILENT_S = 5.0
+
+
+class InputMonitor:
+    """Reports one input; remembers what it needs for rates and to speak up only when it matters.
+
+    Attributes
+    ----------
+    name : of the input.
+    rate_hz : messages per second between the last two reports.
+
+    """
+
+    def __init__(self, name: str, buffer: PoseBuffer, now_s: float) -> None:
+        self.name = name
+        self.rate_hz = 0.0
+        self._buffer = buffer
+        self._messages = 0
+        self._reported_s = now_s
+        self._last_message_s: float | None = None
+        self._refused = 0
+
+    def report(self, topic: TopicStatus, now_s: float) -> DiagnosticStatus:
+        """Return the state of the input; ``now_s`` is a steady time in seconds."""
+        buffer = self._buffer
+        # A reset starts the count anew.
+        arrived = buffer.messages - (self._messages if buffer.messages >= self._messages else 0)
+        if now_s > self._reported_s:
+            self.rate_hz = arrived / (now_s - self._reported_s)
+        if arrived:
+            self._last_message_s = now_s
+        self._messages, self._reported_s = buffer.messages, now_s
+        status = DiagnosticStatus(name=self.name, hardware_id=buffer.sensor_frame)
+        status.level, status.message = self._judge(topic, now_s)
+        span = buffer.span_ns
+        status.values = key_values({
+            'poses': len(buffer),
+            'span_s': f'{(span[1] - span[0]) * 1e-9:.3f}' if span else '0.000',
+            'messages': buffer.messages,
+            'rate_hz': f'{self.rate_hz:.2f}',
+            'world_frame': buffer.world_frame,
+            'sensor_frame': buffer.sensor_frame,
+            **{f'refused: {why.value}': count for why, count in buffer.refused.items()},
+            'dropped while still': buffer.still,
+            'clock jumps': buffer.clock_jumps,
+            'memory_mib': f'{buffer.nbytes / 2**20:.2f}',
+        })
+        return status
+
+    def new_refusals(self) -> str:
+        """Return the refused poses in words if there are new ones since the last call, or ''."""
+        total = sum(self._buffer.refused.values())
+        changed, self._refused = total > self._refused, total
+        return self._buffer.refusals() if changed else ''
+
+    def _judge(self, topic: TopicStatus, now_s: float) -> tuple[bytes, str]:
+        if not topic.ready:
+            return DiagnosticStatus.WARN, topic.text
+        if self._last_message_s is None:
+            return DiagnosticStatus.WARN, f'{topic.text}: no message yet'
+        silent = now_s - self._last_message_s
+        if silent > _SILENT_S:
+            return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
+        return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
+
+
+def key_values(values: dict[str, object]) -> list[KeyValue]:
+    """Return a dictionary as diagnostics carry it."""
+    return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+
+
+def overlap_s(a: PoseBuffer, b: PoseBuffer, time_offset_s: float) -> float:
+    """Return the seconds that both buffers cover, with the offset added to the stamps of b."""
+    span_a, span_b = a.span_ns, b.span_ns
+    if span_a is None or span_b is None:
+        return 0.0
+    offset_ns = round(time_offset_s * 1e9)
+    start, end = max(span_a[0], span_b[0] + offset_ns), min(span_a[1], span_b[1] + offset_ns)
+    return max(0, end - start) * 1e-9

@@ -1,0 +1,248 @@
+"""The node: receives two trajectories, calibrates on request, publishes the extrinsic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import signal
+import sys
+import time
+from types import FrameType
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_srvs.srv import Trigger
+
+from trajectory_calibration.errors import CalibrationError, ConfigError
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.ros.conversions import (
+    describe,
+    find_reader,
+    to_pose_with_covariance,
+    to_transform_stamped,
+)
+from trajectory_calibration.ros.diagnostics import InputMonitor, key_values, overlap_s
+from trajectory_calibration.ros.parameters import NodeParameters
+from trajectory_calibration.ros.session import CalibrationSession
+from trajectory_calibration.ros.topics import TrajectorySubscription
+from trajectory_calibration.ros.worker import SolverProcess
+
+NODE_NAME = 'trajectory_calibration'
+
+# How often the graph is searched for publishers, and how often the log speaks of bad poses.
+_WATCH_S = 0.2
+_DIAGNOSTICS_S = 1.0
+_REFUSAL_LOG_S = 10.0
+
+_LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class CalibrationNode(Node):
+    """Parameters, topics and services as listed in the documentation of the package.
+
+    Raises
+    ------
+    ConfigError
+        A parameter is invalid.
+
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(
+            NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+        self._settings = NodeParameters(self)
+        self._session = CalibrationSession(self._settings.limits())
+        self._inputs = self._make_inputs()
+        self._monitors = [
+            InputMonitor(f'{self.get_fully_qualified_name()}: {name}', buffer, time.monotonic())
+            for name, buffer in (('trajectory_a', self._session.buffer_a),
+                                 ('trajectory_b', self._session.buffer_b))]
+        self._refusals_logged_s = 0.0
+        self._result: CalibrationResult | None = None
+        self._last_failure = ''
+
+        self._solved = self.create_guard_condition(self._on_solved)
+        self._solver = SolverProcess(done=self._solved.trigger)
+        self._answer: Future | None = None
+
+        self._extrinsic = self.create_publisher(TransformStamped, '~/extrinsic', _LATCHED)
+        self._extrinsic_with_covariance = self.create_publisher(
+            PoseWithCovarianceStamped, '~/extrinsic_with_covariance', _LATCHED)
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        # A call that waits for the solver must not hold up its neighbours.
+        group = ReentrantCallbackGroup()
+        self.create_service(
+            Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
+        self.create_service(Trigger, '~/reset', self._on_reset, callback_group=group)
+        # Steady: with use_sim_time the node's own clock stands still until a bag plays.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_WATCH_S, self._watch_topics, clock=steady)
+        self.create_timer(_DIAGNOSTICS_S, self._report, clock=steady)
+
+    def shutdown(self) -> None:
+        """Stop a running calibration and destroy the node."""
+        self._solver.shutdown()
+        self.destroy_node()
+
+    def _make_inputs(self) -> list[TrajectorySubscription]:
+        a, b = (
+            TrajectorySubscription(
+                self, self._settings[f'topic_{side}'],
+                find_reader(self._settings[f'type_{side}']), buffer,
+                self._settings['queue_depth'])
+            for side, buffer in (('a', self._session.buffer_a), ('b', self._session.buffer_b)))
+        if a.topic == b.topic:
+            raise ConfigError(
+                f'topic_a and topic_b are both {a.topic}; needed two topics, of two sensors')
+        return [a, b]
+
+    def _watch_topics(self) -> None:
+        for item in self._inputs:
+            item.update()
+
+    async def _on_calibrate(
+        self, request: Trigger.Request, response: Trigger.Response,
+    ) -> Trigger.Response:
+        del request
+        if self._solver.busy:
+            response.message = 'busy: a calibration is running; call again when it has answered'
+            return response
+        settings = self._settings
+        job = self._session.job(settings.config(), settings['frame_a'], settings['frame_b'])
+        self._answer = Future()
+        self._solver.start(job, settings['calibration_timeout'])
+        response.success, response.message = await self._answer
+        return response
+
+    def _on_reset(
+        self, request: Trigger.Request, response: Trigger.Response,
+    ) -> Trigger.Response:
+        del request
+        poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
+        self._solver.cancel('stopped by a reset')
+        self._session.reset()
+        response.success = True
+        response.message = (
+            f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
+        self.get_logger().info(response.message)
+        return response
+
+    def _on_solved(self) -> None:
+        """Publish what the solver found and answer the call that waits for it."""
+        outcome = self._solver.take_outcome()
+        if isinstance(outcome, CalibrationError):
+            self._last_failure = f'calibration failed: {outcome}'
+            self.get_logger().warning(self._last_failure)
+            answer = False, str(outcome)
+        else:
+            self._result, self._last_failure = outcome, ''
+            self._publish(outcome)
+            answer = True, describe(outcome)
+            self.get_logger().info(answer[1])
+        if self._answer is not None:
+            self._answer.set_result(answer)
+
+    def _publish(self, result: CalibrationResult) -> None:
+        stamp = self.get_clock().now().to_msg()
+        self._extrinsic.publish(to_transform_stamped(result, stamp))
+        with_covariance = to_pose_with_covariance(result, stamp)
+        if with_covariance is not None:
+            self._extrinsic_with_covariance.publish(with_covariance)
+
+    def _report(self) -> None:
+        now_s = time.monotonic()
+        statuses = [
+            monitor.report(item.status, now_s)
+            for monitor, item in zip(self._monitors, self._inputs, strict=True)]
+        statuses.append(self._calibration_status())
+        message = DiagnosticArray(status=statuses)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+        if now_s - self._refusals_logged_s >= _REFUSAL_LOG_S:
+            for monitor in self._monitors:
+                refusals = monitor.new_refusals()
+                if refusals:
+                    self._refusals_logged_s = now_s
+                    self.get_logger().warning(f'{monitor.name}: {refusals}')
+
+    def _calibration_status(self) -> DiagnosticStatus:
+        session, result = self._session, self._result
+        status = DiagnosticStatus(
+            name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
+        if self._solver.busy:
+            status.message = 'calibrating'
+        elif self._last_failure:
+            status.level, status.message = DiagnosticStatus.WARN, self._last_failure
+        elif result is not None:
+            status.message = 'calibrated'
+        else:
+            status.message = 'collecting; call ~/calibrate when the vehicle has turned enough'
+        overlap = overlap_s(
+            session.buffer_a, session.buffer_b, self._settings['time_offset'])
+        values: dict[str, object] = {
+            'solver': self._settings['solver'], 'overlap_s': f'{overlap:.3f}'}
+        if result is not None:
+            values['extrinsic'] = describe(result)
+        status.values = key_values(values)
+        return status
+
+
+class _StopSignals:
+    """Turns SIGINT and SIGTERM into a flag.
+
+    The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
+    that the loop reads ends every run the same way.
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.received = True
+
+
+def _init(args: Sequence[str] | None) -> None:
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; return the exit status."""
+    stop = _StopSignals()
+    node = None
+    try:
+        _init(args)
+        executor = SingleThreadedExecutor()
+        node = CalibrationNode()
+        executor.add_node(node)
+        while rclpy.ok() and not stop.received:
+            executor.spin_once(timeout_sec=0.2)
+        executor.shutdown()
+    except ConfigError as error:
+        get_logger(NODE_NAME).fatal(str(error))
+        return 2
+    finally:
+        if node is not None:
+            node.shutdown()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

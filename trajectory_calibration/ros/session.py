@@ -1,0 +1,61 @@
+"""Two buffers and what is calibrated from them: what the node and a replay share.
+
+Nothing here imports ROS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Track
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationJob:
+    """Everything that one calibration needs, copied at the moment it was asked for."""
+
+    track_a: Track
+    track_b: Track
+    config: CalibrationConfig
+
+    def run(self) -> CalibrationResult:
+        """Calibrate.
+
+        Raises
+        ------
+        CalibrationError
+            As ``calibrate``, and for tracks of fewer than two poses.
+
+        """
+        return calibrate(self.track_a.trajectory(), self.track_b.trajectory(), self.config)
+
+
+class CalibrationSession:
+    """The poses of both sensors since the last reset.
+
+    Attributes
+    ----------
+    buffer_a, buffer_b : the poses of the parent and of the child sensor.
+
+    """
+
+    def __init__(self, limits: BufferLimits) -> None:
+        self.buffer_a = PoseBuffer(limits)
+        self.buffer_b = PoseBuffer(limits)
+
+    def job(
+        self, config: CalibrationConfig, frame_a: str = '', frame_b: str = '',
+    ) -> CalibrationJob:
+        """Return a calibration of what is held now; ``frame_a``, ``frame_b`` override names."""
+        return CalibrationJob(
+            self.buffer_a.snapshot('sensor_a', frame_a),
+            self.buffer_b.snapshot('sensor_b', frame_b),
+            config)
+
+    def reset(self) -> None:
+        """Forget all poses and counts."""
+        self.buffer_a.clear()
+        self.buffer_b.clear()
