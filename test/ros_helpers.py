@@ -24,10 +24,10 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -35,15 +35,9 @@ from std_srvs.srv import Trigger
 from trajectory_calibration import se3
 
 __all__ = [
-    'TYPES',
-    'Client',
-    'GetParameters',
-    'NodeProcess',
-    'Parameter',
-    'SetParameters',
-    'drive',
-    'running',
-    'to_message',
+    'Client', 'DescribeParameters', 'GetParameters', 'ListParameters', 'NodeProcess', 'Parameter',
+    'SetParameters', 'drive', 'matrix', 'parameter_value_to_python', 'running', 'to_message',
+    'to_path',
 ]
 
 LIMIT_S = 30.0

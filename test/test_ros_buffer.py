@@ -1,0 +1,189 @@
+"""What enters a buffer, what does not, and how much it keeps. Needs no ROS."""
+
+import math
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import se3, TrajectoryError
+from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Refusal
+
+SECOND = 1_000_000_000
+
+
+def along_x(x, angle=0.0):
+    """Return a pose at x metres, turned about z."""
+    return (x, 0.0, 0.0, 0.0, 0.0, math.sin(angle / 2), math.cos(angle / 2))
+
+
+def filled(poses, limits=None, start_s=100, step_ns=SECOND // 10):
+    buffer = PoseBuffer(limits or BufferLimits())
+    for k in range(poses):
+        buffer.append(start_s * SECOND + k * step_ns, 'map', 'lidar', along_x(0.1 * k))
+    return buffer
+
+
+def test_a_snapshot_is_what_was_appended_and_stays_so():
+    buffer = filled(50)
+    track = buffer.snapshot('sensor_a')
+    buffer.append(200 * SECOND, 'map', 'lidar', along_x(9.0))
+    buffer.clear()
+    trajectory = track.trajectory()
+    assert len(trajectory) == 50
+    assert np.array_equal(trajectory.stamps_ns, 100 * SECOND + np.arange(50) * (SECOND // 10))
+    assert np.allclose(trajectory.positions[:, 0], 0.1 * np.arange(50), atol=1e-15)
+    assert (trajectory.world_frame, trajectory.sensor_frame) == ('map', 'lidar')
+    assert len(buffer) == 0
+
+
+@pytest.mark.parametrize('named, override, expected', [
+    ('lidar', '', 'lidar'), ('lidar', 'roof', 'roof'), ('', '', 'sensor_a')])
+def test_the_frame_comes_from_the_messages_unless_overridden(named, override, expected):
+    buffer = PoseBuffer(BufferLimits())
+    buffer.append(SECOND, 'map', named, along_x(0.0))
+    assert buffer.snapshot('sensor_a', override).sensor_frame == expected
+
+
+@pytest.mark.parametrize('max_poses', [10, 100, 700])
+def test_the_newest_poses_stay_within_a_bound_of_memory(max_poses):
+    buffer = filled(5000, BufferLimits(max_poses=max_poses))
+    track = buffer.snapshot('a')
+    assert len(track.stamps_ns) == max_poses
+    assert track.stamps_ns[-1] == 100 * SECOND + 4999 * (SECOND // 10)
+    assert np.array_equal(np.diff(track.stamps_ns), np.full(max_poses - 1, SECOND // 10))
+    assert np.allclose(track.poses[:, 0], 0.1 * np.arange(5000 - max_poses, 5000))
+    assert buffer.nbytes <= 2 * max_poses * 64
+
+
+def test_old_poses_leave_by_age():
+    track = filled(100, BufferLimits(max_age_s=2.0)).snapshot('a')
+    assert len(track.stamps_ns) == 21
+
+
+@pytest.mark.parametrize('pose, why', [
+    ((math.nan, 0, 0, 0, 0, 0, 1), Refusal.NOT_FINITE),
+    ((0, 0, math.inf, 0, 0, 0, 1), Refusal.NOT_FINITE),
+    ((0, 0, 0, 0, math.nan, 0, 1), Refusal.NOT_FINITE),
+    ((0, 0, 0, 0, 0, 0, 0), Refusal.NOT_UNIT),
+    ((0, 0, 0, 0, 0, 0, 1.02), Refusal.NOT_UNIT),
+    ((0, 0, 0, 0, 0, 0, 1e100), Refusal.NOT_UNIT),
+])
+def test_poses_that_are_none_are_counted(pose, why):
+    buffer = filled(10)
+    buffer.append(102 * SECOND, 'map', 'lidar', pose)
+    assert len(buffer) == 10
+    assert buffer.refused[why] == sum(buffer.refused.values()) == 1
+    assert why.value in buffer.refusals()
+
+
+@pytest.mark.parametrize('offset_s, why', [
+    (0.0, Refusal.DUPLICATE), (-0.05, Refusal.OUT_OF_ORDER), (-4.9, Refusal.OUT_OF_ORDER)])
+def test_late_stamps_are_counted(offset_s, why):
+    buffer = filled(10)
+    newest = buffer.span_ns[1]
+    buffer.append(newest + round(offset_s * 1e9), 'map', 'lidar', along_x(9.0))
+    assert len(buffer) == 10
+    assert buffer.refused[why] == 1
+
+
+@pytest.mark.parametrize('stray_ns', [0, 50 * SECOND, 10**18])
+def test_a_stray_stamp_costs_nothing_but_itself(stray_ns):
+    buffer = filled(10)
+    newest = buffer.span_ns[1]
+    buffer.append(stray_ns, 'map', 'lidar', along_x(1.0))
+    buffer.append(newest + SECOND // 10, 'map', 'lidar', along_x(1.1))
+    assert len(buffer) == 11
+    assert buffer.refused[Refusal.STRAY_STAMP] == 1
+    assert buffer.clock_jumps == 0
+
+
+def test_a_clock_that_went_back_starts_the_buffer_anew_without_losing_a_pose():
+    buffer = filled(100)
+    for k in range(20):
+        buffer.append(50 * SECOND + k * SECOND // 10, 'map', 'lidar', along_x(0.1 * k))
+    assert buffer.clock_jumps == 1
+    assert buffer.snapshot('a').stamps_ns.tolist() == [
+        50 * SECOND + k * SECOND // 10 for k in range(20)]
+    assert not any(buffer.refused.values())
+
+
+def test_a_long_pause_loses_no_pose():
+    buffer = filled(10)
+    for k in range(5):
+        buffer.append(1000 * SECOND + k * SECOND, 'map', 'lidar', along_x(2.0 + k))
+    assert len(buffer) == 15
+    assert buffer.clock_jumps == 0
+
+
+def test_other_frames_are_refused_once_some_are_held():
+    buffer = PoseBuffer(BufferLimits())
+    buffer.append(99 * SECOND, 'earth', 'lidar', along_x(0.0))
+    for k in range(10):
+        buffer.append(100 * SECOND + k, 'map', 'lidar', along_x(0.1 * k))
+    for frames in (('earth', 'lidar'), ('map', 'radar')):
+        buffer.append(101 * SECOND, *frames, along_x(1.0))
+    assert len(buffer) == 10
+    assert (buffer.world_frame, buffer.sensor_frame) == ('map', 'lidar')
+    assert buffer.refused[Refusal.OTHER_FRAME] == 2
+
+
+def test_an_hour_of_standing_still_costs_nothing_and_keeps_the_motion_before_and_after():
+    buffer = filled(50)
+    stop_ns = buffer.span_ns[1]
+    rng = np.random.default_rng(0)
+    for k in range(1, 36_001):
+        jitter = along_x(4.9 + rng.uniform(-0.004, 0.004), rng.uniform(-1e-3, 1e-3))
+        buffer.append(stop_ns + k * SECOND // 10, 'map', 'lidar', jitter)
+    start_ns = buffer.span_ns[1]
+    for k in range(1, 51):
+        buffer.append(start_ns + k * SECOND // 10, 'map', 'lidar', along_x(4.9 + 0.1 * k))
+    stamps_ns = buffer.snapshot('a').stamps_ns
+    # Of the standstill, two seconds at 10 Hz, the last of them its newest pose.
+    assert len(stamps_ns) == 50 + 20 + 50
+    assert buffer.still == 36_000 - 20
+    assert np.diff(stamps_ns)[-50] == SECOND // 10
+
+
+def test_a_slow_sensor_keeps_the_pose_where_it_stopped():
+    buffer = PoseBuffer(BufferLimits())
+    for k, x in enumerate([0.0, 1.0, 1.0, 1.0, 1.0, 2.0]):
+        buffer.append((1 + 3 * k) * SECOND, 'map', 'lidar', along_x(x))
+    assert buffer.snapshot('a').poses[:, 0].tolist() == [0.0, 1.0, 1.0, 2.0]
+
+
+def test_distance_zero_keeps_every_pose():
+    buffer = PoseBuffer(BufferLimits(still_distance=0.0))
+    for k in range(100):
+        buffer.append((1 + k) * SECOND, 'map', 'lidar', along_x(0.0))
+    assert len(buffer) == 100
+
+
+def test_replace_keeps_the_good_poses_in_order():
+    buffer = filled(10)
+    x = np.arange(8.0)
+    poses = np.column_stack([x, np.zeros((8, 5)), np.ones(8)])
+    stamps_ns = (np.array([3, 1, 2, 2, 5, 6, 7, 8]) * SECOND)
+    poses[4, 1] = np.nan
+    poses[5, 6] = 0.5
+    buffer.replace(stamps_ns, poses, 'map')
+    track = buffer.snapshot('a')
+    assert track.stamps_ns.tolist() == [s * SECOND for s in (1, 2, 3, 7, 8)]
+    assert track.poses[:, 0].tolist() == [1, 2, 0, 6, 7]
+    assert {why: count for why, count in buffer.refused.items() if count} == {
+        Refusal.NOT_FINITE: 1, Refusal.NOT_UNIT: 1, Refusal.DUPLICATE: 1}
+    assert '3 poses refused' in track.warnings[0]
+    buffer.replace(stamps_ns[:0], poses[:0], 'map')
+    assert len(buffer) == 0 and buffer.span_ns is None
+
+
+def test_too_few_poses_say_what_to_do():
+    with pytest.raises(TrajectoryError, match='sensor_b: 0 poses received, needed at least 2'):
+        PoseBuffer(BufferLimits()).snapshot('sensor_b').trajectory()
+
+
+def test_a_track_has_the_rotations_that_were_sent():
+    buffer = PoseBuffer(BufferLimits())
+    for k in range(5):
+        buffer.append((1 + k) * SECOND, 'map', 'lidar', along_x(k, 0.3 * k))
+    expected = se3.exp_so3(np.array([[0, 0, 0.3 * k] for k in range(5)]))
+    assert np.allclose(buffer.snapshot('a').trajectory().rotations, expected, atol=1e-15)
