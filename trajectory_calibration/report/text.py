@@ -36,7 +36,7 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     rows['turned about'] = (
         f'{_named(result.observability.excitation_deg, "xyz", 2)} deg, axes of {a}, root mean '
         'square per motion')
-    rows['shift seen'] = _describe_gain(result.observability)
+    rows['sensitivity'] = _describe_gain(result.observability)
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
         rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
@@ -56,12 +56,14 @@ def format_inspection(found: dict[str, Any]) -> str:
     """Return the screen of what was found in one file or bag."""
     lines = [found['path'], *(f'  warning: {note}' for note in found['notes'])]
     for item in found['trajectories']:
+        # A file is its trajectory; a bag holds several.
+        if item['name'] != found['path']:
+            lines += ['', f'{item["name"]}  ({item["kind"]})']
         messages = item.get('messages', item['poses'])
         read = '' if messages == item['poses'] else f' of {messages} messages'
         gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
                 else 'no gaps')
-        lines += ['', f'{item["name"]}  ({item["kind"]})',
-                  *(f'  warning: {warning}' for warning in item['warnings'])]
+        lines += [f'  warning: {warning}' for warning in item['warnings']]
         lines += _aligned({
             'frames': f'{item["sensor_frame"]} in {item["world_frame"]}',
             'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
@@ -92,12 +94,12 @@ def to_yaml(data: dict[str, Any]) -> str:
 
 
 def _describe_gain(observability: Observability) -> str:
-    """Return how much a shift of b would change the residuals, weakest direction first."""
-    return ', '.join(
+    """Return how much an error of the translation changes the residuals, weakest axis first."""
+    along = ', '.join(
         f'{gain:.3f} along ({", ".join(f"{component:.2f}" for component in axis)})'
         for gain, axis in zip(
-            observability.translation_gain, observability.translation_axes, strict=True)
-    ) + ' m of residual per metre'
+            observability.translation_gain, observability.translation_axes, strict=True))
+    return f'{along} (metres of residual per metre of translation)'
 
 
 def _describe_data(result: CalibrationResult) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+import mmap
 import sqlite3
 import struct
 from typing import TYPE_CHECKING
@@ -54,9 +55,14 @@ class RecoveredMcap:
         """Do nothing: the file is open only while it is read."""
 
     def _messages(self) -> Iterator[tuple[int, int, bytes]]:
-        data = self._path.read_bytes()
-        if not data.startswith(_MCAP_MAGIC):
-            return
+        # Mapped, not read: a bag may be larger than the memory.
+        with (self._path.open('rb') as stream,
+              mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data):
+            if data[:len(_MCAP_MAGIC)] == _MCAP_MAGIC:
+                yield from self._scan(data)
+
+    def _scan(self, data: mmap.mmap) -> Iterator[tuple[int, int, bytes]]:
+        """Yield channel, time and data of each message; note the channels on the way."""
         schemas: dict[int, str] = {}
         for opcode, record in _records(data, len(_MCAP_MAGIC)):
             inner = _records(_chunk(record), 0) if opcode == _CHUNK else [(opcode, record)]
@@ -86,13 +92,21 @@ class RecoveredSqlite:
     def __init__(self, path: Path) -> None:
         self._connection = sqlite3.connect(
             f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
-        self._topics = {
-            topic_id: (str(name), str(msgtype)) for topic_id, name, msgtype
-            in self._connection.execute('SELECT id, name, type FROM topics')}
+        self._topics: dict[int, tuple[str, str]] = {}
         counts: dict[tuple[str, str], int] = {}
-        for topic_id, _, _ in self._rows():
-            key = self._topics[topic_id]
-            counts[key] = counts.get(key, 0) + 1
+        try:
+            # Without it, sqlite refuses a file that is shorter than its header says. The file
+            # is open read-only: nothing is written.
+            self._connection.execute('PRAGMA writable_schema = ON')
+            for topic_id, name, msgtype in self._connection.execute(
+                    'SELECT id, name, type FROM topics'):
+                self._topics[topic_id] = str(name), str(msgtype)
+            for topic_id, _, _ in self._rows():
+                key = self._topics[topic_id]
+                counts[key] = counts.get(key, 0) + 1
+        except DAMAGE:
+            self._connection.close()
+            raise
         self.channels = [Channel(*key, count) for key, count in counts.items()]
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
@@ -124,7 +138,7 @@ class RecoveredSqlite:
             stride *= 2
 
 
-def _records(data: bytes, offset: int) -> Iterator[tuple[int, bytes]]:
+def _records(data: bytes | mmap.mmap, offset: int) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and body of each record; of a last one that is cut off, what is there.
 
     Only a chunk is of any use when cut off: its readers check the sizes of what is inside.

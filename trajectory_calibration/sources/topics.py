@@ -16,6 +16,7 @@ from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 
 # Messages held as bytes before they become numbers: enough to make NumPy's overhead vanish.
 _BLOCK = 8192
+_INT64_MAX = 2**63 - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +139,8 @@ class TopicCollector:
     def add(self, message: bytes, received_ns: int) -> None:
         """Take one serialized message and the time the recorder got it."""
         self.count += 1
+        # Bags count in unsigned numbers; a damaged one may hold any.
+        received_ns = min(received_ns, _INT64_MAX)
         if self._msgtype == cdr.PATH:
             # A SLAM publishes its whole optimised path again and again: the last one counts.
             self._waiting, self._received = [message], [received_ns]
