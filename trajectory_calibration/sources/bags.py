@@ -202,7 +202,7 @@ class _OpenBag:
             declared = sum(
                 channel.messages for channel in item.storage.channels if channel.topic in types)
             if (damage or _messages(tracks) < declared) and not item.recovered:
-                item.damage = damage or 'messages are missing'
+                item.damage = damage or 'fewer messages than its index declares'
                 other = _recover(item.path)
                 if other is not None:
                     recovered, _ = _read_storage(other, types, item.path, meter)

@@ -134,14 +134,14 @@ def parse_path(message: bytes) -> PathPoses | None:
         return None
     start = _align(header.end, 4) + 4
     count = int.from_bytes(message[start - 4:start], 'little')
-    if count == 0:
+    if count == 0 and len(message) - start <= _MAX_PADDING:
         return PathPoses(header.text, np.zeros(0, dtype=np.int64), np.zeros((0, 7)))
     frame = _string(message, start + 8)
-    if frame is None:
+    if count == 0 or frame is None:
         return None
     # The first pose may begin between two multiples of eight; the others begin on one.
     first_end = _align(frame.end, 8) + _POSE_BYTES
-    head = 12 + frame.end - frame.start
+    head = 8 + frame.end - frame.start
     stride = -(-head // 8) * 8 + _POSE_BYTES
     if not 0 <= len(message) - (first_end + (count - 1) * stride) <= _MAX_PADDING:
         return None

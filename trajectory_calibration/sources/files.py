@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 import os
 from pathlib import Path
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 FORMATS = ('tum', 'kitti', 'euroc')
 
 _COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
+# NumPy takes more characters for space than these.
+_PRINTABLE = re.compile(rb'[\t\v\f -~]*')
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
 _INT64_MAX = 2**63 - 1
 
@@ -235,6 +238,9 @@ class _Table:
     ) -> _Rows:
         """Turn the rows into numbers; ``more`` allows further columns, which are ignored."""
         self._drop_incomplete_end(columns)
+        for k, line in enumerate(self.lines):
+            if _PRINTABLE.fullmatch(line) is None:
+                raise self._wrong(k, f'needed {columns} numbers')
         try:
             values = np.loadtxt(
                 self.lines, delimiter=self._separator, comments=None, ndmin=2,
@@ -246,7 +252,7 @@ class _Table:
         stamps_ns = np.zeros(len(values), dtype=np.int64)
         if to_stamp is not None:
             for k in np.flatnonzero(np.isfinite(values[:, 0])).tolist():
-                field = self._fields(k)[0]
+                field = self._fields(k, limit=1)[0]
                 try:
                     stamps_ns[k] = to_stamp(field)
                 except (ValueError, InvalidOperation) as error:
@@ -257,8 +263,8 @@ class _Table:
     def _separator(self) -> str | None:
         return ',' if b',' in self.lines[0] else None
 
-    def _fields(self, k: int) -> list[bytes]:
-        return self.lines[k].split(b',' if self._separator else None)
+    def _fields(self, k: int, limit: int = -1) -> list[bytes]:
+        return self.lines[k].split(b',' if self._separator else None, limit)
 
     def _drop_incomplete_end(self, columns: int) -> None:
         cut_off = (not self.complete and len(self.lines) > 1

@@ -114,6 +114,9 @@ class RosbagsStorage:
         counts: dict[tuple[str, str], int] = {}
         for connection in self._reader.connections:
             key = connection.topic, connection.msgtype
+            if not all(isinstance(name, str) for name in key):
+                self._reader.close()
+                raise TypeError(f'the topic {key} has no name or no type')
             counts[key] = counts.get(key, 0) + connection.msgcount
         self.channels = [Channel(*key, count) for key, count in counts.items()]
 

@@ -1,0 +1,288 @@
+"""TUM, KITTI and EuRoC files: exact round trips, and what is wrong with a file in one line."""
+
+from decimal import Decimal
+from pathlib import Path
+
+from bag_writing import make_track
+from hypothesis import given, HealthCheck, settings, strategies as st
+import numpy as np
+import pytest
+from trajectory_calibration import CalibrationResult, SourceError
+from trajectory_calibration.sources.files import FileSource, read_transform
+
+_SECOND = 10**9
+
+
+def _tum_rows(stamps_ns, poses):
+    return [
+        f'{stamp // _SECOND}.{stamp % _SECOND:09d} ' + ' '.join(repr(float(v)) for v in pose)
+        for stamp, pose in zip(stamps_ns.tolist(), poses, strict=True)]
+
+
+def _write(path, lines, end='\n'):
+    path.write_text('\n'.join(lines) + end, encoding='utf-8')
+    return path
+
+
+@pytest.fixture
+def track():
+    return make_track(5)
+
+
+def _expect(path, trajectory, track):
+    stamps_ns, poses = track
+    np.testing.assert_array_equal(trajectory.stamps_ns, stamps_ns)
+    np.testing.assert_array_equal(trajectory.positions, poses[:, :3])
+    from trajectory_calibration.se3 import quaternion_to_rotation
+    np.testing.assert_allclose(
+        trajectory.rotations, quaternion_to_rotation(poses[:, 3:]), atol=1e-12)
+    assert trajectory.warnings == ()
+
+
+def test_tum(tmp_path, track):
+    path = _write(tmp_path / 'a.txt', ['# t x y z qx qy qz qw', '', *_tum_rows(*track)])
+    trajectory = FileSource(path, sensor_frame='lidar', world_frame='odom').load()
+    _expect(path, trajectory, track)
+    assert (trajectory.sensor_frame, trajectory.world_frame) == ('lidar', 'odom')
+
+
+def test_tum_with_tabs_crlf_and_byte_order_mark(tmp_path, track):
+    path = tmp_path / 'a.txt'
+    rows = '\r\n'.join(row.replace(' ', '\t') for row in _tum_rows(*track))
+    path.write_bytes(b'\xef\xbb\xbf' + rows.encode() + b'\r\n')
+    _expect(path, FileSource(path).load(), track)
+
+
+@settings(max_examples=50, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.integers(0, 2**62), min_size=2, max_size=20, unique=True))
+def test_stamps_are_exact_to_the_nanosecond(tmp_path, stamps):
+    stamps_ns = np.array(sorted(stamps))
+    _, poses = make_track(len(stamps))
+    path = _write(tmp_path / 'a.txt', _tum_rows(stamps_ns, poses))
+    np.testing.assert_array_equal(FileSource(path).load().stamps_ns, stamps_ns)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.decimals(0, 9_000_000_000, places=12))
+def test_seconds_in_any_notation(stamp):
+    from trajectory_calibration.sources.files import _seconds_to_ns
+    expected = round(stamp * _SECOND)
+    assert _seconds_to_ns(str(stamp).encode()) == expected
+    assert _seconds_to_ns(f'{stamp:.20e}'.encode()) == expected
+    assert abs(_seconds_to_ns(repr(float(stamp)).encode()) - expected) <= 2000
+
+
+def test_numpy_savetxt_is_read_to_its_last_digit(tmp_path, track):
+    stamps_ns, poses = track
+    seconds = stamps_ns / _SECOND
+    np.savetxt(tmp_path / 'a.txt', np.column_stack([seconds, poses]))
+    np.testing.assert_array_equal(
+        FileSource(tmp_path / 'a.txt').load().stamps_ns,
+        [round(Decimal(value) * _SECOND) for value in seconds.tolist()])
+
+
+def test_kitti_with_times(tmp_path, track):
+    from trajectory_calibration.se3 import quaternion_to_rotation
+    stamps_ns, poses = track
+    R = quaternion_to_rotation(poses[:, 3:])
+    matrices = np.concatenate([R, poses[:, :3, None]], axis=2).reshape(-1, 12)
+    path = _write(tmp_path / 'poses.txt',
+                  [' '.join(repr(v) for v in row) for row in matrices.tolist()])
+    times = _write(tmp_path / 'times.txt', [row.split()[0] for row in _tum_rows(*track)])
+    _expect(path, FileSource(path, times=times).load(), track)
+
+
+def _euroc_rows(stamps_ns, poses, extra=''):
+    return [
+        f'{stamp},' + ','.join(repr(float(v)) for v in pose[[0, 1, 2, 6, 3, 4, 5]]) + extra
+        for stamp, pose in zip(stamps_ns.tolist(), poses, strict=True)]
+
+
+def test_euroc_has_w_first_and_more_columns(tmp_path, track):
+    header = '#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x []'
+    path = _write(tmp_path / 'data.csv', [header, *_euroc_rows(*track, extra=',0.1,0.2,0.3')])
+    _expect(path, FileSource(path).load(), track)
+
+
+def test_euroc_header_that_names_w_last_is_believed(tmp_path, track):
+    stamps_ns, poses = track
+    rows = [f'{stamp},' + ','.join(repr(float(v)) for v in pose)
+            for stamp, pose in zip(stamps_ns.tolist(), poses, strict=True)]
+    path = _write(tmp_path / 'data.csv', ['#time,x,y,z,qx,qy,qz,qw', *rows])
+    trajectory = FileSource(path).load()
+    np.testing.assert_array_equal(trajectory.positions, poses[:, :3])
+    assert 'names qw last' in trajectory.warnings[0]
+
+
+def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
+    rows = _tum_rows(*track)
+    rows[1] = rows[1].split()[0] + ' nan nan nan nan nan nan nan'
+    rows[3] = rows[3].split()[0] + ' 1 2 inf 0 0 0 1'
+    rows.append('1700000009 0 0 0 0 0 0 0')
+    trajectory = FileSource(_write(tmp_path / 'a.txt', rows), sensor_frame='cam').load()
+    np.testing.assert_array_equal(trajectory.stamps_ns, track[0][[0, 2, 4]])
+    assert trajectory.warnings[0].startswith('cam: ')
+    assert '3 of 6 poses are not finite: dropped' in trajectory.warnings[0]
+
+
+@pytest.mark.parametrize(('cut', 'poses'), [(1, 5), (8, 5), (20, 4), (60, 4)])
+def test_last_line_cut_off_is_dropped_with_a_warning(tmp_path, track, cut, poses):
+    """Unless what is missing is within rounding: the norm of the quaternion tells."""
+    text = '\n'.join(_tum_rows(*track))
+    path = tmp_path / 'a.txt'
+    path.write_text(text[:-cut], encoding='utf-8')
+    trajectory = FileSource(path).load()
+    assert len(trajectory) == poses
+    assert ['line, 5, is cut off: dropped' in note for note in trajectory.warnings] == (
+        [] if poses == 5 else [True])
+
+
+def test_last_line_without_an_end_is_used(tmp_path, track):
+    path = _write(tmp_path / 'a.txt', _tum_rows(*track), end='')
+    _expect(path, FileSource(path).load(), track)
+
+
+@pytest.mark.parametrize(('line', 'message'), [
+    ('1 2 3 4 0 0 0', 'line 3: 7 columns, needed 8'),
+    ('1 2 3 4 0 0 0 1 9', 'line 3: 9 columns, needed 8'),
+    ('1 2 3 x 0 0 0 1', "line 3: needed 8 numbers; found '1 2 3 x 0 0 0 1'"),
+    ('1 2 3 1_0 0 0 0 1', 'line 3: needed 8 numbers'),
+    ('1 2 3 \u00e9 0 0 0 1', 'line 3: needed 8 numbers'),
+    ('1700000000123456789 2 3 4 0 0 0 1', 'line 3: the time .* are these nanoseconds'),
+    ('1 2 3 4 0.5 0 0 0', 'line 3: the norm of the quaternion is 0.5, needed 1'),
+    ('1 2 3 4 1e200 0 0 0', 'line 3: the norm of the quaternion is inf'),
+])
+def test_garbage_names_the_line(tmp_path, track, line, message):
+    rows = _tum_rows(*track)
+    path = _write(tmp_path / 'a.txt', ['# header', rows[0], line, *rows[2:]])
+    with pytest.raises(SourceError, match=message) as caught:
+        FileSource(path).load()
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(('content', 'message'), [
+    (b'', r'holds no poses \(0 bytes\)'),
+    (b'# only a comment\n\n', 'holds no poses'),
+    (b'\x7fELF\x02\x00\x01', 'is not text: it holds a zero byte at 5'),
+    (b'a,b,c\n', 'line 1: no known format'),
+    (b'1 2 3\n', 'line 1: no known format'),
+    (b'1.5,1,2,3,1,0,0,0\n', 'line 1: no known format'),
+    (b'1 2 3 4 0 0 0 1\n', '1 pose with a stamp of its own, needed at least 2'),
+    (b'nan nan nan nan nan nan nan nan\n' * 3, '0 pose'),
+])
+def test_files_that_hold_no_trajectory(tmp_path, content, message):
+    path = tmp_path / 'a.txt'
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match=message) as caught:
+        FileSource(path).load()
+    assert str(path) in str(caught.value)
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(SourceError, match='nothing.txt cannot be read: No such file'):
+        FileSource(tmp_path / 'nothing.txt').load()
+    with pytest.raises(SourceError, match='give the bag with --bag'):
+        FileSource(tmp_path).load()
+    with pytest.raises(SourceError, match='give the bag with --bag'):
+        FileSource(tmp_path / 'x.mcap').load()
+
+
+def test_format_can_be_forced(tmp_path, track):
+    path = _write(tmp_path / 'a.txt', _tum_rows(*track))
+    with pytest.raises(SourceError, match='line 1: 8 columns, needed 12'):
+        FileSource(path, 'kitti', times=path).load()
+    with pytest.raises(SourceError, match='line 1: the time .* is no integer'):
+        FileSource(_write(path, ['1.5,1,2,3,1,0,0,0'] * 3), 'euroc').load()
+
+
+def test_kitti_needs_as_many_times_as_poses(tmp_path):
+    pose = '1 0 0 0 0 1 0 0 0 0 1 0'
+    path = _write(tmp_path / 'poses.txt', [pose] * 4)
+    with pytest.raises(SourceError, match='carry no time; give the file of their times'):
+        FileSource(path).load()
+    with pytest.raises(SourceError, match='holds 4 poses and .* 3 times'):
+        FileSource(path, times=_write(tmp_path / 't.txt', ['0', '1', '2'])).load()
+    with pytest.raises(SourceError, match='line 2: needed 1 numbers'):
+        FileSource(path, times=_write(tmp_path / 't.txt', ['0', 'x', '2', '3'])).load()
+    with pytest.raises(SourceError, match='carries its own times'):
+        tum = _write(tmp_path / 'tum.txt', ['1 2 3 4 0 0 0 1'] * 3)
+        FileSource(tum, times=tmp_path / 't.txt').load()
+
+
+def test_kitti_matrix_that_is_no_rotation(tmp_path):
+    path = _write(tmp_path / 'poses.txt', ['1 0 0 0 0 2 0 0 0 0 1 0'] * 3)
+    times = _write(tmp_path / 't.txt', ['0', '1', '2'])
+    with pytest.raises(SourceError, match='the deviation from a rotation is'):
+        FileSource(path, times=times).load()
+
+
+def test_kitti_cut_off_last_row_leaves_its_time_over(tmp_path):
+    path = _write(tmp_path / 'poses.txt', ['1 0 0 0 0 1 0 0 0 0 1 0'] * 3 + ['1 0 0'], end='')
+    times = _write(tmp_path / 't.txt', ['0', '1', '2', '3'])
+    trajectory = FileSource(path, times=times).load()
+    assert len(trajectory) == 3
+    assert 'cut off' in trajectory.warnings[0]
+
+
+@settings(max_examples=200, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=300), st.sampled_from([None, 'tum', 'kitti', 'euroc']))
+def test_any_bytes_give_a_named_error(tmp_path, content, file_format):
+    path = tmp_path / 'a.txt'
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match='a.txt'):
+        FileSource(path, file_format, times=path if file_format == 'kitti' else None).load()
+
+
+@settings(max_examples=100, deadline=None,
+          suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 2**31), st.integers(1, 4))
+def test_flipped_bytes_give_a_trajectory_or_a_named_error(tmp_path, seed, flips):
+    path = tmp_path / 'a.txt'
+    data = bytearray('\n'.join(_tum_rows(*make_track(5))).encode())
+    rng = np.random.default_rng(seed)
+    for _ in range(flips):
+        data[rng.integers(len(data))] ^= rng.integers(1, 256)
+    path.write_bytes(data)
+    try:
+        assert len(FileSource(path).load()) >= 2
+    except SourceError as error:
+        assert 'a.txt' in str(error)
+
+
+@pytest.mark.parametrize('row', ['0 0.1 0.2 0.3 0 0 0.6 0.8', '0.1 0.2 0.3 0 0 0.6 0.8'])
+def test_transform_with_and_without_a_stamp(tmp_path, row):
+    T_a_b = read_transform(_write(tmp_path / 'truth.txt', ['# b in a', row]))
+    np.testing.assert_allclose(T_a_b[:3, 3], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(T_a_b[:3, 0], [0.28, 0.96, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize(('lines', 'message'), [
+    (['1 2 3'], 'line 1: 3 numbers, needed 7 or 8'),
+    (['1 2 3 0 0 0 1', '1 2 3 0 0 0 1'], 'holds 2 rows, needed one transform'),
+    (['1 2 3 0 0 0 2'], 'line 1: .* is no transform'),
+    (['1 2 3 0 0 0 x'], 'line 1: needed 7 numbers'),
+    (['1 2 nan 0 0 0 1'], 'line 1: .* is no transform'),
+])
+def test_wrong_transforms(tmp_path, lines, message):
+    with pytest.raises(SourceError, match=message):
+        read_transform(_write(tmp_path / 'truth.txt', lines))
+
+
+def test_published_ground_truth(shared_data):
+    truth = read_transform(
+        shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt')
+    np.testing.assert_array_equal(truth[:3, 3], [0.334, -0.005, -0.076])
+
+
+def test_read_transform_accepts_a_saved_result(tmp_path, shared_data):
+    from trajectory_calibration import calibrate, CalibrationConfig
+    run = Path(shared_data) / 'simulation/mixture/run_12'
+    result = calibrate(*(FileSource(run / name).load()
+                         for name in ('T_S1_W1.txt', 'T_S2_W2.txt')),
+                       CalibrationConfig(solver='taylor'))
+    assert isinstance(result, CalibrationResult)
+    result.save(tmp_path / 'result.yaml')
+    np.testing.assert_allclose(
+        read_transform(tmp_path / 'result.yaml'), result.T_a_b, atol=1e-12)
