@@ -26,8 +26,9 @@ def test_extrinsic_of_noise_free_motion_is_exact(tmp_path, types):
         assert answer.success, answer.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
-    # Of the types of a, only Odometry names the sensor.
-    expected = 'lidar' if types[0] == 'Odometry' else 'sensor_a'
+    # Odometry alone names the sensor; the topic does otherwise.
+    expected = 'lidar' if types[0] == 'Odometry' else (
+        f'{client.namespace[1:]}_trajectory_a')
     assert extrinsic[0].header.frame_id == expected
     assert extrinsic[0].child_frame_id == 'camera'
     assert f'{expected} -> camera: translation [0.33' in answer.message

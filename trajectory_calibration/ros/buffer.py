@@ -25,7 +25,11 @@ CONFIRMATIONS = 3
 _FIRST_ALLOCATION = 1024
 
 # Position x, y, z (metres) and quaternion x, y, z, w.
-PoseTuple = tuple[float, float, float, float, float, float, float]
+PoseTuple = tuple[float, ...]
+# Names of the world frame and of the sensor frame; empty where a message has none.
+Frames = tuple[str, str]
+
+_NO_FRAMES = ('', '')
 
 
 class Refusal(str, Enum):
@@ -37,6 +41,7 @@ class Refusal(str, Enum):
     OUT_OF_ORDER = 'out of order'
     STRAY_STAMP = 'stray stamp'
     OTHER_FRAME = 'other frame'
+    UNREADABLE = 'unreadable'
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,7 @@ class PoseBuffer:
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
     refused : count of refused poses for each Refusal.
-    world_frame, sensor_frame : names of the frames in the messages held, or ''.
+    frames : of the messages held.
 
     """
 
@@ -138,21 +143,18 @@ class PoseBuffer:
             return None
         return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
 
-    def append(
-        self, stamp_ns: int, world_frame: str, sensor_frame: str, pose: PoseTuple,
-    ) -> None:
+    def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
         self.messages += 1
         fault = _fault(pose)
         if fault is not None:
             self.refused[fault] += 1
             return
-        if world_frame != self.world_frame or sensor_frame != self.sensor_frame:
+        if frames != self.frames:
             if len(self) >= CONFIRMATIONS:
                 self.refused[Refusal.OTHER_FRAME] += 1
                 return
-            self._forget_poses()
-            self.world_frame, self.sensor_frame = world_frame, sensor_frame
+            self._forget_poses(frames)
         step = stamp_ns - self._last_ns
         if 0 < step <= JUMP_NS or not len(self):
             self._drop_strays()
@@ -164,21 +166,21 @@ class PoseBuffer:
         else:
             self._consider_jump(stamp_ns, pose)
 
+    def count_unreadable(self) -> None:
+        """Count a message of which nothing could be read."""
+        self.messages += 1
+        self.refused[Refusal.UNREADABLE] += 1
+
     def replace(
-        self,
-        stamps_ns: NDArray[np.int64],
-        poses: FloatArray,
-        world_frame: str,
-        sensor_frame: str = '',
+        self, stamps_ns: NDArray[np.int64], poses: FloatArray, frames: Frames,
     ) -> None:
         """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
 
         For a SLAM that publishes its optimised path again and again. The counts of refused
         poses are those of this trajectory.
         """
-        self._forget_poses()
+        self._forget_poses(frames)
         self.messages += 1
-        self.world_frame, self.sensor_frame = world_frame, sensor_frame
         finite = np.isfinite(poses).all(axis=1)
         norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
         unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
@@ -206,11 +208,12 @@ class PoseBuffer:
             Overrides the name in the messages.
 
         """
-        frame = sensor_frame or self.sensor_frame or name
+        world, sensor = self.frames
+        frame = sensor_frame or sensor or name
         return Track(
             self._stamps[self._start:self._end].copy(),
             self._poses[self._start:self._end].copy(),
-            self.world_frame,
+            world or 'map',
             frame,
             tuple(f'{frame}: {note}' for note in [self.refusals()] if note))
 
@@ -220,8 +223,8 @@ class PoseBuffer:
         total = sum(self.refused.values())
         return f'{total} poses refused ({", ".join(counts)})' if total else ''
 
-    def _forget_poses(self) -> None:
-        self.world_frame = self.sensor_frame = ''
+    def _forget_poses(self, frames: Frames = _NO_FRAMES) -> None:
+        self.frames = frames
         self._stamps = np.empty(0, np.int64)
         self._poses = np.empty((0, 7))
         self._start = self._end = 0
@@ -243,9 +246,7 @@ class PoseBuffer:
             return
         confirmed, self._jump = self._jump, []
         if confirmed[0][0] < self._last_ns:
-            frames = self.world_frame, self.sensor_frame
-            self._forget_poses()
-            self.world_frame, self.sensor_frame = frames
+            self._forget_poses(self.frames)
             self.clock_jumps += 1
         for stamp, held in confirmed:
             self._store(stamp, held)

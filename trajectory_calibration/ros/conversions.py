@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -20,98 +17,64 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
+from rclpy.serialization import deserialize_message
 from std_msgs.msg import Header
 
 from trajectory_calibration import se3
-from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.buffer import PoseBuffer, PoseTuple
+from trajectory_calibration.sources.cdr import (
+    ODOMETRY,
+    PATH,
+    PathPoses,
+    POSE,
+    POSE_WITH_COVARIANCE,
+    StampedPose,
+)
 
-# The parameter value that means: the type that the topic's publishers offer.
-AUTOMATIC = 'auto'
+MESSAGE_TYPES = {
+    ODOMETRY: Odometry,
+    POSE: PoseStamped,
+    POSE_WITH_COVARIANCE: PoseWithCovarianceStamped,
+    PATH: Path,
+}
 
 
-@dataclass(frozen=True)
-class Reader:
-    """How the messages of one type enter a buffer."""
+class RosDeserialiser:
+    """Reads messages with ROS itself: for byte orders and layouts that are not the usual one."""
 
-    name: str
-    message_type: type
-    read: Callable[[Any, PoseBuffer], None]
+    def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
+        """Return the pose of a message."""
+        value = deserialize_message(message, MESSAGE_TYPES[msgtype])
+        child = value.child_frame_id if msgtype == ODOMETRY else ''
+        pose = value.pose if msgtype == POSE else value.pose.pose
+        return StampedPose(
+            _stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))
+
+    def path(self, message: bytes) -> PathPoses | None:
+        """Return the poses of a Path."""
+        value = deserialize_message(message, Path)
+        stamps_ns = [_stamp_ns(item.header.stamp) for item in value.poses]
+        poses = [_numbers(item.pose) for item in value.poses]
+        return PathPoses(
+            value.header.frame_id, np.array(stamps_ns, np.int64), np.array(poses).reshape(-1, 7))
 
 
-def stamp_ns(stamp: Time) -> int:
-    """Return a message's time in nanoseconds."""
+def _stamp_ns(stamp: Time) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _pose_tuple(pose: Pose) -> PoseTuple:
+def _numbers(pose: Pose) -> tuple[float, ...]:
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def _read_odometry(message: Odometry, buffer: PoseBuffer) -> None:
-    header = message.header
-    buffer.append(stamp_ns(header.stamp), header.frame_id, message.child_frame_id,
-                  _pose_tuple(message.pose.pose))
-
-
-def _read_pose_stamped(message: PoseStamped, buffer: PoseBuffer) -> None:
-    header = message.header
-    buffer.append(stamp_ns(header.stamp), header.frame_id, '', _pose_tuple(message.pose))
-
-
-def _read_pose_with_covariance(message: PoseWithCovarianceStamped, buffer: PoseBuffer) -> None:
-    header = message.header
-    buffer.append(stamp_ns(header.stamp), header.frame_id, '', _pose_tuple(message.pose.pose))
-
-
-def _read_path(message: Path, buffer: PoseBuffer) -> None:
-    stamps_ns = array('q', (stamp_ns(item.header.stamp) for item in message.poses))
-    numbers = array('d')
-    for item in message.poses:
-        numbers.extend(_pose_tuple(item.pose))
-    buffer.replace(np.frombuffer(stamps_ns, np.int64),
-                   np.frombuffer(numbers, np.float64).reshape(-1, 7), message.header.frame_id)
-
-
-READERS = {reader.name: reader for reader in (
-    Reader('nav_msgs/msg/Odometry', Odometry, _read_odometry),
-    Reader('geometry_msgs/msg/PoseStamped', PoseStamped, _read_pose_stamped),
-    Reader('geometry_msgs/msg/PoseWithCovarianceStamped', PoseWithCovarianceStamped,
-           _read_pose_with_covariance),
-    Reader('nav_msgs/msg/Path', Path, _read_path),
-)}
-
-
-def find_reader(type_name: str) -> Reader | None:
-    """Return the reader of 'nav_msgs/msg/Odometry', or for short 'Odometry'; None for 'auto'.
-
-    Raises
-    ------
-    ConfigError
-        A type that cannot serve as a trajectory; the message lists those that can.
-
-    """
-    if type_name == AUTOMATIC:
-        return None
-    for name, reader in READERS.items():
-        if type_name in (name, name.replace('/msg/', '/'), name.rpartition('/')[2]):
-            return reader
-    raise ConfigError(
-        f'type {type_name!r} cannot serve as a trajectory; needed one of {AUTOMATIC}, '
-        f'{", ".join(READERS)}')
-
-
 def to_transform_stamped(result: CalibrationResult, stamp: Time) -> TransformStamped:
     """Return the extrinsic as the transform from frame a to its child b."""
-    x, y, z = result.T_a_b[:3, 3].tolist()
-    qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3]).tolist()
+    translation, rotation = _vector_and_quaternion(result)
     return TransformStamped(
         header=Header(stamp=stamp, frame_id=result.frame_a),
         child_frame_id=result.frame_b,
-        transform=Transform(translation=Vector3(x=x, y=y, z=z),
-                            rotation=Quaternion(x=qx, y=qy, z=qz, w=qw)))
+        transform=Transform(translation=Vector3(**translation), rotation=Quaternion(**rotation)))
 
 
 def to_pose_with_covariance(
@@ -120,31 +83,14 @@ def to_pose_with_covariance(
     """Return the pose of b in a with its covariance, or None where the solver gave none."""
     if result.covariance is None:
         return None
-    x, y, z = result.T_a_b[:3, 3].tolist()
-    qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3]).tolist()
+    translation, rotation = _vector_and_quaternion(result)
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=result.frame_a))
-    message.pose.pose = Pose(
-        position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    message.pose.pose = Pose(position=Point(**translation), orientation=Quaternion(**rotation))
     message.pose.covariance = result.covariance.reshape(-1)
     return message
 
 
-def describe(result: CalibrationResult) -> str:
-    """Return the extrinsic and how good it is in one line for a person."""
-    x, y, z = result.T_a_b[:3, 3]
-    qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
-    parts = [
-        f'{result.frame_a} -> {result.frame_b}: translation [{x:.4f}, {y:.4f}, {z:.4f}] m',
-        f'rotation xyzw [{qx:.5f}, {qy:.5f}, {qz:.5f}, {qw:.5f}]',
-    ]
-    if result.covariance is not None:
-        sigma = np.sqrt(np.diag(result.covariance))
-        metres = ', '.join(f'{value:.4f}' for value in sigma[:3])
-        degrees = ', '.join(f'{value:.3f}' for value in np.rad2deg(sigma[3:]))
-        parts.append(f'standard deviations [{metres}] m, [{degrees}] deg')
-    parts.append(
-        f'{result.motions} motions of {result.poses} poses, e_rt {result.metrics.e_rt:.4f} m, '
-        f'e_rR {np.rad2deg(result.metrics.e_rR):.3f} deg')
-    if result.warnings:
-        parts.append(f'warnings: {" | ".join(result.warnings)}')
-    return '; '.join(parts)
+def _vector_and_quaternion(result: CalibrationResult) -> tuple[dict[str, Any], dict[str, Any]]:
+    rotation = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
+    return (dict(zip('xyz', result.T_a_b[:3, 3].tolist(), strict=True)),
+            dict(zip('xyzw', rotation.tolist(), strict=True)))

@@ -40,7 +40,7 @@ class InputMonitor:
         if arrived:
             self._last_message_s = now_s
         self._messages, self._reported_s = buffer.messages, now_s
-        status = DiagnosticStatus(name=self.name, hardware_id=buffer.sensor_frame)
+        status = DiagnosticStatus(name=self.name, hardware_id=buffer.frames[1])
         status.level, status.message = self._judge(topic, now_s)
         span = buffer.span_ns
         status.values = key_values({
@@ -48,8 +48,8 @@ class InputMonitor:
             'span_s': f'{(span[1] - span[0]) * 1e-9:.3f}' if span else '0.000',
             'messages': buffer.messages,
             'rate_hz': f'{self.rate_hz:.2f}',
-            'world_frame': buffer.world_frame,
-            'sensor_frame': buffer.sensor_frame,
+            'world_frame': buffer.frames[0],
+            'sensor_frame': buffer.frames[1],
             **{f'refused: {why.value}': count for why, count in buffer.refused.items()},
             'dropped while still': buffer.still,
             'clock jumps': buffer.clock_jumps,

@@ -24,16 +24,13 @@ from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.conversions import (
-    describe,
-    find_reader,
-    to_pose_with_covariance,
-    to_transform_stamped,
-)
+from trajectory_calibration.ros.answer import describe
+from trajectory_calibration.ros.conversions import to_pose_with_covariance, to_transform_stamped
 from trajectory_calibration.ros.diagnostics import InputMonitor, key_values, overlap_s
+from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
-from trajectory_calibration.ros.topics import TrajectorySubscription
+from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
 from trajectory_calibration.ros.worker import SolverProcess
 
 NODE_NAME = 'trajectory_calibration'
@@ -62,12 +59,20 @@ class CalibrationNode(Node):
         super().__init__(
             NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
         self._settings = NodeParameters(self)
-        self._session = CalibrationSession(self._settings.limits())
-        self._inputs = self._make_inputs()
+        values = self._settings.values()
+        topics = [resolve_topic(self, values[name]) for name in ('topic_a', 'topic_b')]
+        if topics[0] == topics[1]:
+            raise ConfigError(
+                f'topic_a and topic_b are both {topics[0]}; needed the topics of two sensors')
+        self._session = CalibrationSession(*topics, to_limits(values))
+        buffers = self._session.buffer_a, self._session.buffer_b
+        self._inputs = [
+            TrajectorySubscription(
+                self, topic, find_type(values[name]), buffer, values['queue_depth'])
+            for topic, name, buffer in zip(topics, ('type_a', 'type_b'), buffers, strict=True)]
         self._monitors = [
             InputMonitor(f'{self.get_fully_qualified_name()}: {name}', buffer, time.monotonic())
-            for name, buffer in (('trajectory_a', self._session.buffer_a),
-                                 ('trajectory_b', self._session.buffer_b))]
+            for name, buffer in zip(('trajectory_a', 'trajectory_b'), buffers, strict=True)]
         self._refusals_logged_s = 0.0
         self._result: CalibrationResult | None = None
         self._last_failure = ''
@@ -95,18 +100,6 @@ class CalibrationNode(Node):
         self._solver.shutdown()
         self.destroy_node()
 
-    def _make_inputs(self) -> list[TrajectorySubscription]:
-        a, b = (
-            TrajectorySubscription(
-                self, self._settings[f'topic_{side}'],
-                find_reader(self._settings[f'type_{side}']), buffer,
-                self._settings['queue_depth'])
-            for side, buffer in (('a', self._session.buffer_a), ('b', self._session.buffer_b)))
-        if a.topic == b.topic:
-            raise ConfigError(
-                f'topic_a and topic_b are both {a.topic}; needed two topics, of two sensors')
-        return [a, b]
-
     def _watch_topics(self) -> None:
         for item in self._inputs:
             item.update()
@@ -118,10 +111,10 @@ class CalibrationNode(Node):
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
-        settings = self._settings
-        job = self._session.job(settings.config(), settings['frame_a'], settings['frame_b'])
+        values = self._settings.values()
+        job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
         self._answer = Future()
-        self._solver.start(job, settings['calibration_timeout'])
+        self._solver.start(job, values['calibration_timeout'])
         response.success, response.message = await self._answer
         return response
 

@@ -36,13 +36,21 @@ class CalibrationJob:
 class CalibrationSession:
     """The poses of both sensors since the last reset.
 
+    Parameters
+    ----------
+    topic_a, topic_b : str
+        Full names; they name a sensor whose messages do not.
+    limits : BufferLimits
+        For each buffer.
+
     Attributes
     ----------
     buffer_a, buffer_b : the poses of the parent and of the child sensor.
 
     """
 
-    def __init__(self, limits: BufferLimits) -> None:
+    def __init__(self, topic_a: str, topic_b: str, limits: BufferLimits) -> None:
+        self._topic_a, self._topic_b = topic_a, topic_b
         self.buffer_a = PoseBuffer(limits)
         self.buffer_b = PoseBuffer(limits)
 
@@ -51,11 +59,15 @@ class CalibrationSession:
     ) -> CalibrationJob:
         """Return a calibration of what is held now; ``frame_a``, ``frame_b`` override names."""
         return CalibrationJob(
-            self.buffer_a.snapshot('sensor_a', frame_a),
-            self.buffer_b.snapshot('sensor_b', frame_b),
+            self.buffer_a.snapshot(_name_of(self._topic_a), frame_a),
+            self.buffer_b.snapshot(_name_of(self._topic_b), frame_b),
             config)
 
     def reset(self) -> None:
         """Forget all poses and counts."""
         self.buffer_a.clear()
         self.buffer_b.clear()
+
+
+def _name_of(topic: str) -> str:
+    return topic.strip('/').replace('/', '_')

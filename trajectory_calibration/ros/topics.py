@@ -12,7 +12,8 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.buffer import PoseBuffer
-from trajectory_calibration.ros.conversions import Reader, READERS
+from trajectory_calibration.ros.conversions import MESSAGE_TYPES, RosDeserialiser
+from trajectory_calibration.ros.feed import PoseFeed
 
 
 @dataclass(frozen=True)
@@ -38,85 +39,92 @@ class TrajectorySubscription:
     node : Node
         That subscribes.
     topic : str
-        As in the parameter; remapped by ROS.
-    reader : Reader or None
+        Its full name.
+    msgtype : str or None
         The type to subscribe to; None takes what the publishers offer.
     buffer : PoseBuffer
         That takes the poses.
     depth : int
         Messages that may wait while the node is busy.
 
-    Raises
-    ------
-    ConfigError
-        ``topic`` is not a name that ROS accepts.
+    Attributes
+    ----------
+    status : what a person should know about it.
 
     """
 
     def __init__(
-        self, node: Node, topic: str, reader: Reader | None, buffer: PoseBuffer, depth: int,
+        self, node: Node, topic: str, msgtype: str | None, buffer: PoseBuffer, depth: int,
     ) -> None:
-        self._node = node
-        self._topic = topic
-        self._wanted = reader
-        self._buffer = buffer
-        self._depth = depth
-        self._reader: Reader | None = None
+        self._node, self._topic, self._wanted = node, topic, msgtype
+        self._buffer, self._depth = buffer, depth
+        self._msgtype: str | None = None
         self._profile: QoSProfile | None = None
         self._subscription: Subscription | None = None
-        try:
-            self.topic = node.resolve_topic_name(topic)
-        except RuntimeError as error:
-            raise ConfigError(f'{topic!r} is not a name of a topic: {error}') from error
-        self.status = TopicStatus(f'waiting for a publisher on {self.topic}')
+        self.status = TopicStatus(f'waiting for a publisher on {topic}')
 
     def update(self) -> None:
         """Look at the publishers and subscribe, or subscribe anew, as they require."""
-        publishers = self._node.get_publishers_info_by_topic(self.topic)
+        publishers = self._node.get_publishers_info_by_topic(self._topic)
         if not publishers:
             self.status = TopicStatus(
-                f'no publisher on {self.topic}; start it, or set or remap the topic')
+                f'no publisher on {self._topic}; start it, or set or remap the topic')
             return
         offered = sorted({publisher.topic_type for publisher in publishers})
-        reader = self._wanted or self._only_reader(offered)
-        if reader is None:
+        msgtype = self._wanted or self._only_type(offered)
+        if msgtype is None:
             return
-        if reader.name not in offered:
+        if msgtype not in offered:
             self.status = TopicStatus(
-                f'{self.topic} carries {" and ".join(offered)}, the parameter says '
-                f'{reader.name}; correct it or set auto')
+                f'{self._topic} carries {" and ".join(offered)}, the parameter says '
+                f'{msgtype}; correct it or set auto')
             return
         profile = _matching_profile(
-            [publisher for publisher in publishers if publisher.topic_type == reader.name],
+            [publisher for publisher in publishers if publisher.topic_type == msgtype],
             self._depth)
-        if reader is not self._reader or profile != self._profile:
-            self._subscribe(reader, profile)
+        if msgtype != self._msgtype or profile != self._profile:
+            self._subscribe(msgtype, profile)
         several = f' from {len(publishers)} publishers' if len(publishers) > 1 else ''
-        self.status = TopicStatus(f'{reader.name} on {self.topic}{several}', ready=True)
+        self.status = TopicStatus(f'{msgtype} on {self._topic}{several}', ready=True)
 
-    def _only_reader(self, offered: Sequence[str]) -> Reader | None:
-        """Return the reader of the one usable type on offer, or say in the status why not."""
-        usable = [READERS[name] for name in offered if name in READERS]
+    def _only_type(self, offered: Sequence[str]) -> str | None:
+        """Return the one usable type on offer, or say in the status why there is none."""
+        usable = [name for name in offered if name in MESSAGE_TYPES]
         if len(usable) == 1:
             return usable[0]
-        carries = f'{self.topic} carries {" and ".join(offered)}'
+        carries = f'{self._topic} carries {" and ".join(offered)}'
         self.status = TopicStatus(
             f'{carries}; set the type parameter to one of them' if usable else
-            f'{carries}, which is no trajectory; needed one of {", ".join(READERS)}')
+            f'{carries}, which is no trajectory; needed one of {", ".join(MESSAGE_TYPES)}')
         return None
 
-    def _subscribe(self, reader: Reader, profile: QoSProfile) -> None:
+    def _subscribe(self, msgtype: str, profile: QoSProfile) -> None:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
-        if self._reader is not None and reader is not self._reader:
+        if self._msgtype is not None and msgtype != self._msgtype:
             # Another kind of message is another source: its poses do not continue the old ones.
             self._buffer.clear()
-        self._reader, self._profile = reader, profile
-        read, buffer = reader.read, self._buffer
+        self._msgtype, self._profile = msgtype, profile
         self._subscription = self._node.create_subscription(
-            reader.message_type, self._topic, lambda message: read(message, buffer), profile)
+            MESSAGE_TYPES[msgtype], self._topic,
+            PoseFeed(msgtype, self._buffer, RosDeserialiser()), profile, raw=True)
         self._node.get_logger().info(
-            f'receiving {reader.name} on {self.topic} ({profile.reliability.name.lower()})')
+            f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')
+
+
+def resolve_topic(node: Node, topic: str) -> str:
+    """Return the full name of a topic after ROS has remapped it.
+
+    Raises
+    ------
+    ConfigError
+        ROS accepts no such name.
+
+    """
+    try:
+        return node.resolve_topic_name(topic)
+    except RuntimeError as error:
+        raise ConfigError(f'{topic!r} is not a name of a topic: {error}') from error
 
 
 def _matching_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
