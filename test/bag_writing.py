@@ -114,7 +114,7 @@ class BagFile:
         self.writer.write(self.connections[topic], int(received_ns), bytes(data))
 
 
-def write_bag(path, storage='mcap', count=50, **topics):
+def write_bag(path, storage='mcap', count=50):
     """Write a bag with the tracks of seeds 1 (/odom) and 2 (/pose) and a topic of no use."""
     with BagFile(path, storage) as bag:
         stamps_ns, odometry = make_track(count, 1)

@@ -3,6 +3,7 @@
 from bag_writing import BagFile, make_track, write_bag
 import numpy as np
 import pytest
+
 from trajectory_calibration import SourceError, TopicError
 from trajectory_calibration.se3 import quaternion_to_rotation
 from trajectory_calibration.sources.bags import BagSource, open_bags
@@ -129,7 +130,7 @@ def test_a_path_without_stamps_has_no_time_to_fall_back_to(tmp_path):
     stamps_ns, poses = make_track(5)
     with BagFile(tmp_path / 'bag') as bag:
         bag.add('/path', bag.messages.path(stamps_ns * 0, poses), 99)
-    with pytest.raises(SourceError, match='0 of 1 messages .*5 headers carry no stamp'):
+    with pytest.raises(SourceError, match=r'0 of 1 messages .*5 headers carry no stamp'):
         BagSource([tmp_path / 'bag'], '/path').load()
 
 
@@ -200,15 +201,16 @@ def test_big_endian_messages(tmp_path):
 
 
 @pytest.mark.parametrize(('topic', 'message'), [
-    ('/odm', 'no topic /odm; topics that can serve: /odom .Odometry, 50 messages., '
-             '/pose .PoseStamped, 50 messages.$'),
-    ('/words', 'topic /words is std_msgs/msg/String, which cannot serve as a trajectory; '
-               'topics that can serve: /odom'),
+    ('/odm', 'no topic /odm'),
+    ('/words', 'topic /words is std_msgs/msg/String, which cannot serve as a trajectory'),
 ])
 def test_a_wrong_topic_lists_the_candidates(tmp_path, topic, message):
     write_bag(tmp_path / 'bag')
-    with pytest.raises(TopicError, match=message):
+    with pytest.raises(TopicError) as caught:
         BagSource([tmp_path / 'bag'], topic).load()
+    assert str(caught.value) == (
+        f'{tmp_path}/bag: {message}; topics that can serve: /odom (Odometry, 50 messages), '
+        '/pose (PoseStamped, 50 messages)')
 
 
 def test_a_bag_without_candidates_and_an_empty_bag(tmp_path):

@@ -5,6 +5,7 @@ import shutil
 from bag_writing import BagFile, make_track, write_bag
 import numpy as np
 import pytest
+
 from trajectory_calibration import CalibrationError, SourceError, TrajectoryError
 from trajectory_calibration.sources.bags import BagSource, open_bags
 
@@ -143,7 +144,7 @@ def test_a_file_that_the_metadata_lists_is_gone(bags, tmp_path):
     assert len(trajectory) == COUNT
     assert 'lists bag_1.mcap, which do not exist' in trajectory.warnings[0]
     file.unlink()
-    with pytest.raises(SourceError, match='none of the files that metadata.yaml lists exists'):
+    with pytest.raises(SourceError, match=r'none of the files that metadata\.yaml lists exists'):
         BagSource([bag], '/odom').load()
 
 

@@ -1,9 +1,11 @@
 """Poses read straight from CDR bytes are exactly those of the general deserialiser."""
 
 from bag_writing import make_track, Messages, ROS2
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
+
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.deserialise import Deserialiser
 

@@ -21,7 +21,7 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     rows = {
         'translation': f'{_named(t, "xyz", 4)} m',
         'quaternion': _named(se3.rotation_to_quaternion(R), 'xyzw', 6),
-        'rotation': f'{_named(_roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
+        'rotation': f'{_named(roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
     }
     if result.covariance is not None:
         sigma = np.sqrt(np.diagonal(result.covariance))
@@ -109,7 +109,7 @@ def _describe_data(result: CalibrationResult) -> str:
             f'{summary.poses_b} poses, {result.motions} motions{kept}')
 
 
-def _roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
+def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
     """Return the angles about the fixed x, then y, then z axis, as URDF and tf write them."""
     pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
     if np.hypot(R[0, 0], R[1, 0]) < 1e-9:

@@ -1,0 +1,123 @@
+"""The command line as a process: start-up, signals, pipes, progress."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+
+from cli_helpers import run, write_pair
+import pytest
+
+from trajectory_calibration import __version__
+from trajectory_calibration.cli import progress
+from trajectory_calibration.cli.main import main
+
+COMMAND = (sys.executable, '-m', 'trajectory_calibration')
+
+
+def test_module_runs_as_a_process(tmp_path):
+    a, b, truth = write_pair(tmp_path)
+    done = subprocess.run(
+        [*COMMAND, 'calibrate', a, b, '--solver', 'taylor', '--format', 'json',
+         '--ground-truth', truth],
+        capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert json.loads(done.stdout)['e_at_m'] < 1e-9
+
+
+def test_failure_as_a_process(tmp_path):
+    done = subprocess.run(
+        [*COMMAND, 'inspect', str(tmp_path / 'none')],
+        capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 1
+    assert done.stdout == ''
+    assert done.stderr.startswith('error: ')
+    assert done.stderr.count('\n') == 1
+
+
+def test_interrupt_is_quiet(tmp_path):
+    fifo = tmp_path / 'a.txt'
+    os.mkfifo(fifo)
+    with subprocess.Popen(
+            [*COMMAND, 'inspect', str(fifo)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    ) as process:
+        # Opening for writing returns when the process has opened the other end.
+        with fifo.open('wb'):
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+        assert (process.returncode, out, err) == (130, b'', b'')
+
+
+def test_a_reader_that_leaves_is_no_error(tmp_path):
+    a, _, _ = write_pair(tmp_path)
+    with subprocess.Popen(
+            [*COMMAND, 'inspect', a], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        err = process.stderr.read()
+        assert (process.wait(timeout=30), err) == (0, b'')
+
+
+def test_start_loads_nothing_heavy():
+    code = (
+        'import sys\n'
+        'from trajectory_calibration.cli.main import main\n'
+        'main(["--version"])\n'
+        'heavy = {"casadi", "scipy", "rosbags", "rclpy", "matplotlib", "ruamel.yaml"}\n'
+        'print(sorted(heavy & set(sys.modules)))\n')
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == f'{__version__}\n[]\n'
+
+
+@pytest.mark.parametrize('arguments', [[], ['nonsense'], ['--nonsense'], ['calibrate', '--x']])
+def test_wrong_usage(capsys, arguments):
+    assert run(capsys, *arguments)[0] == 2
+
+
+@pytest.mark.parametrize('arguments', [
+    ['--help'], ['calibrate', '--help'], ['inspect', '--help']])
+def test_help(capsys, arguments):
+    status, out, err = run(capsys, *arguments)
+    assert (status, err) == (0, '')
+    assert out.startswith('usage: trajectory_calibration')
+
+
+def test_version(capsys):
+    assert run(capsys, '--version') == (0, f'{__version__}\n', '')
+
+
+class _Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_on_a_terminal_is_drawn_and_cleared(monkeypatch):
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
+    with progress.progress_bar('reading') as draw:
+        draw(1, 4)
+        draw(4, 4)
+    assert terminal.getvalue() == (
+        '\rreading [########......................]  25%'
+        '\rreading [##############################] 100%\r\033[K')
+
+
+def test_short_work_and_files_see_no_progress(monkeypatch):
+    terminal, file = _Terminal(), io.StringIO()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    with progress.progress_bar('reading') as draw:
+        draw(1, 2)
+    monkeypatch.setattr(sys, 'stderr', file)
+    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
+    with progress.progress_bar('reading') as draw:
+        draw(1, 2)
+    assert (terminal.getvalue(), file.getvalue()) == ('', '')
+
+
+def test_arguments_of_the_process_are_the_default(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['trajectory_calibration', '--version'])
+    assert main() == 0
+    assert capsys.readouterr().out == f'{__version__}\n'
