@@ -37,7 +37,7 @@ PYTHON := python3
 endif
 
 demo: $(VENV)/installed
-	$(BIN)/python demo/demo.py
+	@$(BIN)/python demo/demo.py
 
 test: oldest lint unit
 
@@ -55,23 +55,26 @@ oldest: $(VENV)/oldest/installed
 $(VENV)/constraints.txt:
 	@test -n '$(PYTHON)' || { echo 'error: found no Python 3.10 to 3.13 with venv; install one' \
 	    '(Debian, Ubuntu: apt install python3-venv) or name it: make PYTHON=...' >&2; exit 1; }
-	$(PYTHON) -m venv $(if $(SOURCED),--system-site-packages) $(VENV)
-	$(if $(SOURCED),$(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)' >$@,touch $@)
+	@$(PYTHON) -m venv $(if $(SOURCED),--system-site-packages) $(VENV)
+	@$(if $(SOURCED),$(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)' >$@,touch $@)
 
 $(VENV)/installed: $(VENV)/constraints.txt $(SETUP_FILES)
-	$(PIP_INSTALL) -e .
-	$(if $(SOURCED),,$(PIP_INSTALL) -e '.[ros]' || { echo 'error: rclpy has wheels only for Linux' \
+	@echo 'installing into $(VENV) ...'
+	@$(PIP_INSTALL) -e .
+	@$(if $(SOURCED),,$(PIP_INSTALL) -e '.[ros]' || { echo 'error: rclpy has wheels only for Linux' \
 	    'on x86-64; elsewhere source a ROS 2 Jazzy installation first' >&2; exit 1; })
-	touch $@
+	@touch $@
 
 $(VENV)/installed-for-tests: $(VENV)/installed
-	$(PIP_INSTALL) -e '.[test,lint,colcon$(if $(SOURCED),,,ament)]'
-	touch $@
+	@echo 'installing the tools of the tests ...'
+	@$(PIP_INSTALL) -e '.[test,lint,colcon$(if $(SOURCED),,,ament)]'
+	@touch $@
 
 $(VENV)/oldest/installed: test/oldest.txt $(VENV)/installed-for-tests
-	$(PYTHON) -m venv $(VENV)/oldest
-	$(VENV)/oldest/bin/python $(PIP_OPTIONS) -c test/oldest.txt -e '.[test]'
-	touch $@
+	@$(PYTHON) -m venv $(VENV)/oldest
+	@echo 'installing the oldest dependencies ...'
+	@$(VENV)/oldest/bin/python $(PIP_OPTIONS) -c test/oldest.txt -e '.[test]'
+	@touch $@
 
 clean:
 	rm -rf $(VENV) .demo build

@@ -70,8 +70,8 @@ def main() -> int:
     os.environ['ROS_LOG_DIR'] = str(FOLDER / 'log')
     try:
         truth = make_bag()
-        with running_node():
-            online = calibrate_online()
+        with running_node() as node:
+            online = calibrate_online(node)
         offline = calibrate_offline()
     except DemoError as error:
         print(f'error: {error}', file=sys.stderr)
@@ -93,7 +93,7 @@ def make_bag() -> Answer:
 
 
 @contextmanager
-def running_node() -> Iterator[None]:
+def running_node() -> Iterator[subprocess.Popen]:
     """Run the real node in a process of its own; its output goes to a file."""
     executable = shutil.which('calibration_node', path=str(Path(sys.executable).parent))
     if executable is None:
@@ -105,7 +105,7 @@ def running_node() -> Iterator[None]:
              f'topic_b:={TOPICS[1]}'], stdout=stream, stderr=subprocess.STDOUT)
     print(f'2. started calibration_node, process {node.pid}')
     try:
-        yield
+        yield node
     except DemoError as error:
         raise DemoError(f'{error}; the node said:\n{log.read_text()}') from error
     finally:
@@ -119,7 +119,7 @@ def running_node() -> Iterator[None]:
         raise DemoError(f'the node ended with status {status}, needed 0; see {shown(log)}')
 
 
-def calibrate_online() -> Answer:
+def calibrate_online(node: subprocess.Popen) -> Answer:
     """Replay the bag to the node, ask it to calibrate, and receive what it latched."""
     # ROS loads here because it reads the environment that main() sets.
     from diagnostic_msgs.msg import DiagnosticArray
@@ -146,6 +146,8 @@ def calibrate_online() -> Answer:
     def wait(condition: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + LIMIT_S
         while not condition():
+            if node.poll() is not None:
+                raise DemoError(f'the node ended with status {node.returncode}')
             if time.monotonic() > deadline:
                 raise DemoError(f'waited {LIMIT_S:.0f} s for {what}')
             executor.spin_once(timeout_sec=0.1)

@@ -31,7 +31,7 @@ FLOW = (
     ('__main__',),
 )
 ROS = {'builtin_interfaces', 'rcl_interfaces', 'rclpy', 'std_srvs', 'tf2_ros'}
-HEAVY = ('casadi', 'matplotlib', 'rclpy', 'rosbags', 'ruamel', 'scipy')
+HEAVY = ('casadi', 'matplotlib', 'rclpy', 'rosbags', 'ruamel.yaml', 'scipy')
 
 MODULES = sorted(PACKAGE.rglob('*.py'))
 

@@ -68,6 +68,7 @@ def test_package_xml_declares_what_the_code_imports():
 
 
 def test_wheel(source, tmp_path):
+    pytest.importorskip('setuptools', '70.1', reason='older ones make no wheels on their own')
     run(sys.executable, '-m', 'pip', 'wheel', '--quiet', '--no-deps', '--no-build-isolation',
         '--wheel-dir', tmp_path, source, cwd=tmp_path)
     (wheel,) = tmp_path.glob('*.whl')

@@ -125,4 +125,6 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> None:
     for name, trajectory in (('a', pair.a), ('b', pair.b)):
         print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
               f'{trajectory.duration_s:g} s')
-    print(f'try: trajectory_calibration calibrate {inputs} --ground-truth {truth}')
+    offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
+    clocks = f' --time-offset {offset:g}' if offset else ''
+    print(f'try: trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}')

@@ -59,6 +59,10 @@ class Unicycle:
     yaw_rate : the rate is uniform in plus or minus this, radians per second.
     hold : seconds for which it is held.
     ground : what it drives on.
+    as_published : orient it as the paper's published trajectories are, which is not as a vehicle
+        stands: they hold the inverse of ``Rz(heading) Ry(asin(n_x)) Rx(asin(n_y))`` with the
+        normal n of the ground. Seen from the sensor, it then moves in ever other directions. Of
+        a vehicle, which moves along its x axis, a steady drift of b looks like a rotation of b.
 
     """
 
@@ -66,9 +70,11 @@ class Unicycle:
     yaw_rate: float = 2.0
     hold: float = 0.5
     ground: Ground = peaks
+    as_published: bool = False
 
     def draw(self, duration: float, rng: np.random.Generator) -> Path:
         """Draw a path of ``duration`` seconds."""
+        orient = _published if self.as_published else _standing
         rates = rng.uniform(-self.yaw_rate, self.yaw_rate, int(duration / self.hold) + 1)
         headings = np.concatenate([[0.0], np.cumsum(rates * self.hold)])
         arcs = self._chord(headings[:-1], rates, np.full(len(rates), self.hold))
@@ -78,7 +84,9 @@ class Unicycle:
             k = np.clip((times / self.hold).astype(int), 0, len(rates) - 1)
             since = times - k * self.hold
             xy = corners[k] + self._chord(headings[k], rates[k], since)
-            return _on_ground(xy, headings[k] + rates[k] * since, self.ground)
+            z, slope_x, slope_y = self.ground(xy[:, 0], xy[:, 1])
+            R = orient(slope_x, slope_y, headings[k] + rates[k] * since)
+            return se3.from_rotation_translation(R, np.column_stack([xy, z]))
 
         return path
 
@@ -122,20 +130,34 @@ class Wander:
 
         def path(times: FloatArray) -> FloatArray:
             waves = scale * np.sin(omega * times[:, None, None] + phase).sum(axis=-1)
-            roll, pitch, yaw = (
-                se3.exp_so3(waves[:, 3 + axis, None] * np.eye(3)[axis]) for axis in range(3))
-            return se3.from_rotation_translation(yaw @ pitch @ roll, waves[:, :3])
+            return se3.from_rotation_translation(_rotations(*waves[:, 3:].T), waves[:, :3])
 
         return path
 
 
-def _on_ground(xy: FloatArray, heading: FloatArray, ground: Ground) -> FloatArray:
-    """Stand on the ground at (N, 2) points with (N,) headings seen from above."""
-    z, slope_x, slope_y = ground(xy[:, 0], xy[:, 1])
+def _standing(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> FloatArray:
+    """Return (N, 3, 3) rotations with z along the normal of the ground and x along the heading."""
     cosine, sine = np.cos(heading), np.sin(heading)
-    forward = np.stack([cosine, sine, slope_x * cosine + slope_y * sine], axis=-1)
-    normal = np.stack([-slope_x, -slope_y, np.ones(len(z))], axis=-1)
+    forward = np.column_stack([cosine, sine, slope_x * cosine + slope_y * sine])
     forward /= np.linalg.norm(forward, axis=-1, keepdims=True)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    R = np.stack([forward, np.cross(normal, forward), normal], axis=-1)
-    return se3.from_rotation_translation(R, np.column_stack([xy, z]))
+    normal = _normal(slope_x, slope_y)
+    return np.stack([forward, np.cross(normal, forward), normal], axis=-1)
+
+
+def _published(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> FloatArray:
+    """Return the (N, 3, 3) rotations of the paper's published trajectories."""
+    pitch, roll, _ = np.arcsin(_normal(slope_x, slope_y)).T
+    return np.swapaxes(_rotations(roll, pitch, heading), -1, -2)
+
+
+def _normal(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
+    normal = np.column_stack([-slope_x, -slope_y, np.ones(len(slope_x))])
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def _rotations(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return the (N, 3, 3) rotations ``Rz(yaw) Ry(pitch) Rx(roll)`` of (N,) angles."""
+    R_x, R_y, R_z = (
+        se3.exp_so3(angle[:, None] * axis)
+        for angle, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
+    return R_z @ R_y @ R_x

@@ -158,7 +158,8 @@ def with_noise(scenario: Scenario, a: Noise, b: Noise) -> Scenario:
 def paper_scenario(*, white: float = 0.0, jumps: int = 0, drift: float = 0.0) -> Scenario:
     """Return the paper's scenario: noise and jumps on both trajectories, drift on that of b."""
     both = Noise(white=white, jumps=jumps)
-    return with_noise(Scenario(), both, replace(both, drift=drift))
+    scenario = Scenario(motion=Unicycle(as_published=True))
+    return with_noise(scenario, both, replace(both, drift=drift))
 
 
 def _field_scenario(duration: float, motion: Unicycle | Wander) -> Scenario:
