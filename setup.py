@@ -35,9 +35,11 @@ setup(
     # Lower bounds are Ubuntu 22.04's and 24.04's own packages, so that pip leaves them alone
     # where ROS is installed: its message extensions are compiled against NumPy 1.
     install_requires=[
+        'apsw',
+        'backports.zstd; python_version < "3.14"',
         'casadi>=3.6.3',
         'numpy>=1.22',
-        'rosbags>=0.10',
+        'rosbags>=0.11.7',
         'ruamel.yaml>=0.17',
         'scipy>=1.8',
     ],
