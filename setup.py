@@ -32,13 +32,13 @@ setup(
         (f'share/{NAME}/config', _files('config', '*')),
         (f'share/{NAME}/launch', _files('launch', '*.py')),
     ],
-    # Lower bounds are Ubuntu 22.04's and 24.04's own packages, so that pip leaves them alone
+    # Ubuntu 24.04's own NumPy and SciPy satisfy these bounds, so that pip leaves them alone
     # where ROS is installed: its message extensions are compiled against NumPy 1.
     install_requires=[
         'apsw',
         'backports.zstd; python_version < "3.14"',
         'casadi>=3.6.3',
-        'numpy>=1.22',
+        'numpy>=1.23',
         'rosbags>=0.11.7',
         'ruamel.yaml>=0.17',
         'scipy>=1.8',
