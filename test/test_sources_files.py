@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig, SourceError
+from trajectory_calibration import SourceError
 from trajectory_calibration.se3 import quaternion_to_rotation
 from trajectory_calibration.sources.files import _seconds_to_ns, FileSource, read_transform
 
@@ -273,13 +273,3 @@ def test_published_ground_truth(shared_data):
     truth = read_transform(
         shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt')
     np.testing.assert_array_equal(truth[:3, 3], [0.334, -0.005, -0.076])
-
-
-def test_a_saved_result_is_a_transform(tmp_path, shared_data):
-    run = shared_data / 'simulation/mixture/run_12'
-    result = calibrate(*(FileSource(run / name).load()
-                         for name in ('T_S1_W1.txt', 'T_S2_W2.txt')),
-                       CalibrationConfig(solver='taylor'))
-    result.save(tmp_path / 'result.yaml')
-    np.testing.assert_allclose(
-        read_transform(tmp_path / 'result.yaml'), result.T_a_b, atol=1e-12)

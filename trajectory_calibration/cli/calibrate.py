@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
             f'--times-{name}', type=Path, metavar='FILE', help='times of KITTI poses, seconds')
     parser.add_argument(
         '--ground-truth', type=Path, metavar='FILE',
-        help='known pose of b in a, one row [t] x y z qx qy qz qw or a saved result')
+        help='known pose of b in a, one row [t] x y z qx qy qz qw or a saved result (.yaml)')
     parser.add_argument(
         '--format', choices=('text', 'json', 'yaml'), default='text', help='of the output')
     parser.add_argument(
@@ -52,13 +52,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate and print the result."""
     config = config_from_arguments(arguments)
-    truth = None if arguments.ground_truth is None else read_transform(arguments.ground_truth)
+    truth = None if arguments.ground_truth is None else _read_truth(arguments.ground_truth)
     trajectory_a, trajectory_b = _load(arguments)
     result = calibrate(trajectory_a, trajectory_b, config)
     if arguments.output is not None:
         _write(result, arguments.output)
     _print(result, truth, arguments.format)
     return 0
+
+
+def _read_truth(path: Path) -> FloatArray:
+    if path.suffix in ('.yaml', '.yml'):
+        return CalibrationResult.load(path).T_a_b
+    return read_transform(path)
 
 
 def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:

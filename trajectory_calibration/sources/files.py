@@ -143,24 +143,18 @@ def is_bag(path: Path) -> bool:
 def read_transform(path: str | os.PathLike[str]) -> FloatArray:
     """Read one (4, 4) transform, the pose of b in a, from a file.
 
-    Either one row ``[t] x y z qx qy qz qw`` (metres; the stamp is ignored), or a result that
-    this package saved.
+    One row ``[t] x y z qx qy qz qw``, metres; the stamp is ignored.
 
     Raises
     ------
-    SourceError, ResultError
-        The file cannot be read, or holds neither.
+    SourceError
+        The file cannot be read, or holds something else.
 
     """
     table = _Table.read(Path(path))
-    if b':' in table.lines[0]:
-        # Loaded here because a result is what the sources feed, not what they are made of.
-        from trajectory_calibration.result import CalibrationResult
-        return CalibrationResult.load(path).T_a_b
     if len(table.lines) != 1:
         raise SourceError(
-            f'{path} holds {len(table.lines)} rows, needed one transform: [t] x y z qx qy qz qw, '
-            'or a saved result')
+            f'{path} holds {len(table.lines)} rows, needed one transform: [t] x y z qx qy qz qw')
     width = len(table.lines[0].split())
     if width not in (7, 8):
         raise SourceError(
