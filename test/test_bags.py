@@ -53,6 +53,12 @@ def test_a_storage_file_without_its_folder(tmp_path, storage):
     assert trajectory.warnings == ()
 
 
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3 message'])
+def test_a_folder_named_like_a_ros1_bag(tmp_path, storage):
+    write_bag(tmp_path / 'drive.bag', storage)
+    _expect(BagSource([tmp_path / 'drive.bag'], '/odom').load(), *make_track(50, 1))
+
+
 def test_frames_can_be_overridden(tmp_path):
     write_bag(tmp_path / 'bag')
     trajectory = BagSource([tmp_path / 'bag'], '/odom', 'velodyne', 'utm').load()

@@ -84,6 +84,15 @@ def test_a_damaged_bag_is_inspected_with_a_warning(tmp_path, capsys):
     assert 'of 80 messages' in out
 
 
+def test_the_last_message_of_a_path(tmp_path, capsys):
+    stamps_ns, poses = make_track(5)
+    with BagFile(tmp_path / 'bag') as bag:
+        bag.add('/path', bag.messages.path(stamps_ns[:3], poses[:3]), 1)
+        bag.add('/path', bag.messages.path(stamps_ns, poses), 2)
+    _, out, _ = run(capsys, 'inspect', tmp_path / 'bag')
+    assert 'poses         5 in the last of 2 messages, 10.00 Hz' in out
+
+
 def test_several_paths(tmp_path, capsys):
     a, b, _ = write_pair(tmp_path)
     status, out, _ = run(capsys, 'inspect', a, b, write_pair_bag(tmp_path / 'bag'))

@@ -71,6 +71,23 @@ def test_start_loads_nothing_heavy():
     assert done.stdout == f'{__version__}\n[]\n'
 
 
+def test_a_machine_without_rosbags_reads_files_and_says_what_bags_need(tmp_path):
+    a, _, _ = write_pair(tmp_path)
+    code = (
+        'import sys\n'
+        'sys.modules["rosbags"] = None\n'
+        'from trajectory_calibration.cli.main import main\n'
+        'sys.exit(main(sys.argv[1:]))\n')
+    files, bags = (subprocess.run(
+        [sys.executable, '-c', code, 'inspect', path],
+        capture_output=True, text=True, check=False, timeout=60) for path in (a, str(tmp_path)))
+    assert (files.returncode, files.stderr) == (0, '')
+    assert bags.returncode == 1
+    assert bags.stderr == (
+        'error: bags need the Python package rosbags, which is not installed; install it with: '
+        'pip install rosbags\n')
+
+
 @pytest.mark.parametrize('arguments', [[], ['nonsense'], ['--nonsense'], ['calibrate', '--x']])
 def test_wrong_usage(capsys, arguments):
     assert run(capsys, *arguments)[0] == 2

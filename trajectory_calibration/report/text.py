@@ -61,6 +61,8 @@ def format_inspection(found: dict[str, Any]) -> str:
             lines += ['', f'{item["name"]}  ({item["kind"]})']
         messages = item.get('messages', item['poses'])
         read = '' if messages == item['poses'] else f' of {messages} messages'
+        if item['kind'].endswith('/Path'):
+            read = f' in the last of {messages} messages'
         gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
                 else 'no gaps')
         lines += [f'  warning: {warning}' for warning in item['warnings']]

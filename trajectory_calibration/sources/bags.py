@@ -13,18 +13,28 @@ from pathlib import Path
 
 from trajectory_calibration.errors import SourceError, TopicError
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
-from trajectory_calibration.sources.recovery import RecoveredMcap, RecoveredSqlite
-from trajectory_calibration.sources.storage import (
-    Bag,
-    Channel,
-    DAMAGE,
-    describe_damage,
-    find_bag,
-    RosbagsStorage,
-    Storage,
-)
-from trajectory_calibration.sources.topics import join_tracks, TopicCollector, TopicTrack
 from trajectory_calibration.trajectory import Trajectory
+
+try:
+    from trajectory_calibration.sources.recovery import RecoveredMcap, RecoveredSqlite
+    from trajectory_calibration.sources.storage import (
+        Bag,
+        Channel,
+        DAMAGE,
+        describe_damage,
+        find_bag,
+        is_ros1,
+        Message,
+        RosbagsStorage,
+        Storage,
+    )
+    from trajectory_calibration.sources.topics import join_tracks, TopicCollector, TopicTrack
+except ModuleNotFoundError as error:
+    # A machine with ROS from apt has no rosbags, and needs it for nothing else.
+    package = str(error.name).partition('.')[0]
+    raise SourceError(
+        f'bags need the Python package {package}, which is not installed; install it with: '
+        'pip install rosbags') from error
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
@@ -242,18 +252,24 @@ def _read_storage(
     storage: Storage, types: dict[str, str], path: Path, meter: _Meter,
 ) -> tuple[dict[str, TopicTrack], str]:
     """Return the tracks of a file up to its end or its damage, and the damage."""
-    ros1 = path.suffix == '.bag'
+    ros1 = is_ros1(path)
     collectors = {
         topic: TopicCollector(topic, msgtype, ros1=ros1) for topic, msgtype in types.items()}
-    damage = ''
+    damage: list[str] = []
+    for topic, msgtype, received_ns, data in _whole(storage.messages(types.keys()), damage):
+        if msgtype == types[topic]:
+            collectors[topic].add(data, received_ns)
+            meter.step()
+    tracks = {topic: collector.track() for topic, collector in collectors.items()}
+    return tracks, ''.join(damage)
+
+
+def _whole(messages: Iterator[Message], damage: list[str]) -> Iterator[Message]:
+    """Yield messages up to the damage and note it; errors of whoever takes them pass by."""
     try:
-        for topic, msgtype, received_ns, data in storage.messages(types.keys()):
-            if msgtype == types[topic]:
-                collectors[topic].add(data, received_ns)
-                meter.step()
+        yield from messages
     except DAMAGE as error:
-        damage = describe_damage(error)
-    return {topic: collector.track() for topic, collector in collectors.items()}, damage
+        damage.append(describe_damage(error))
 
 
 def _recover(path: Path) -> Storage | None:

@@ -15,6 +15,8 @@ import struct
 from typing import TYPE_CHECKING
 from zlib import crc32
 
+from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+
 from trajectory_calibration.sources.storage import Channel, DAMAGE, Message
 
 if TYPE_CHECKING:
@@ -155,8 +157,6 @@ def _records(data: bytes | mmap.mmap, offset: int) -> Iterator[tuple[int, bytes]
 
 def _chunk(record: bytes) -> bytes:
     """Return the records inside a chunk; none where it is damaged."""
-    # Needed by no healthy bag, and rosbags has every decompressor that it could have written.
-    from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
     if len(record) < 40:
         return b''
     size, crc = struct.unpack_from('<QI', record, 16)

@@ -99,6 +99,11 @@ def find_bag(path: Path) -> Bag:
     return Bag(path, (path,), notes=_log_note(path))
 
 
+def is_ros1(path: Path) -> bool:
+    """Tell a ROS 1 bag, one file, from the files and folders of rosbag2."""
+    return path.suffix == '.bag' and not path.is_dir()
+
+
 class RosbagsStorage:
     """A file, or a compressed folder, that ``rosbags`` opens; raises one of DAMAGE if not.
 
@@ -109,7 +114,7 @@ class RosbagsStorage:
     """
 
     def __init__(self, path: Path) -> None:
-        self._reader: Any = (rosbag1 if path.suffix == '.bag' else rosbag2).Reader(path)
+        self._reader: Any = (rosbag1 if is_ros1(path) else rosbag2).Reader(path)
         self._reader.open()
         counts: dict[tuple[str, str], int] = {}
         for connection in self._reader.connections:
