@@ -207,10 +207,12 @@ def write_yaml(path: Path, data: dict[str, Any]) -> None:
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
+        temporary = None
     except OSError as error:
+        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+    finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:

@@ -117,7 +117,8 @@ def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
     """Return (S, 4, 4) extrinsics: of all motions by two methods, and of parts of the drive."""
     starts = [quadratic.minimise(G).T_a_b]
     every = np.arange(len(motions))
-    for part in (every, *np.array_split(every, _PARTS)):
+    parts = np.array_split(every, min(_PARTS, len(motions) // 2))
+    for part in (every, *parts):
         some = MotionPairs(motions.reference, motions.i[part], motions.j[part],
                            motions.A[part], motions.B[part], motions.pairs)
         try:
@@ -146,7 +147,9 @@ def _minimise_with_ipopt(cost: TrimmedCost) -> tuple[Candidates, int]:
     x = found['x'].full().ravel()
     T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]), x[3:6])
     value = float(found['f']) + motions * cost.c
-    return Candidates(T_a_b[None], x[6:, None], np.array([value])), int(stats['iter_count'])
+    # Ipopt may leave a bound by its relaxation, 1e-8.
+    weights = np.clip(x[6:, None], 0.0, 1.0)
+    return Candidates(T_a_b[None], weights, np.array([value])), int(stats['iter_count'])
 
 
 @lru_cache(maxsize=8)

@@ -1,0 +1,168 @@
+"""Settings are checked in one place; a result is plain data that survives a file."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+from motion_data import perturb, random_pose, sensor_pair
+import numpy as np
+import pytest
+
+from trajectory_calibration import (
+    calibrate,
+    CalibrationConfig,
+    CalibrationResult,
+    ConfigError,
+    ResultError,
+    Trajectory,
+)
+
+
+@pytest.fixture(scope='module')
+def result():
+    rng = np.random.default_rng(0)
+    X = random_pose(rng)
+    a, b = sensor_pair(rng, X)
+    return calibrate(perturb(rng, a, 1e-3, 1e-3), perturb(rng, b, 1e-3, 1e-3))
+
+
+def test_every_option_has_a_sentence_and_a_default_in_range():
+    for option in CalibrationConfig.options():
+        assert len(option.help) > 10, option.name
+        assert option.check(option.default) == option.default
+
+
+def test_a_default_is_what_the_paper_says():
+    config = CalibrationConfig()
+    assert (config.dnlo_c, config.dnlo_min_inliers) == (0.01, 0.5)
+    assert config.time_offset == 0.0
+
+
+@pytest.mark.parametrize('values, message', [
+    ({'solver': 'horaud'}, "solver 'horaud' is unknown; needed one of .*dnl, dnlo, ali, park"),
+    ({'reference': 'E5'}, "reference 'E5' is unknown"),
+    ({'reference': 5}, 'reference is 5, needed a value of type str'),
+    ({'max_gap': -1.0}, 'max_gap is -1.0, needed 0 to 3600'),
+    ({'max_gap': float('nan')}, 'max_gap is nan'),
+    ({'max_gap': '0.5'}, "max_gap is '0.5', needed a value of type float"),
+    ({'max_gap': True}, 'max_gap is True, needed a value of type float'),
+    ({'dnlo_min_inliers': 1.5}, 'dnlo_min_inliers is 1.5, needed 0 to 1'),
+    ({'association': 'closest'}, 'needed one of interpolate, nearest'),
+    ({'max_gab': 1.0}, "setting 'max_gab' is unknown; known are solver, reference"),
+])
+def test_wrong_settings_are_refused_with_the_right_ones(values, message):
+    with pytest.raises(ConfigError, match=message):
+        CalibrationConfig.from_dict(values)
+
+
+def test_an_integer_serves_where_a_number_is_meant():
+    assert CalibrationConfig(max_gap=2).max_gap == 2.0
+
+
+def test_config_round_trips():
+    config = CalibrationConfig(solver='ali', max_gap=1.25)
+    assert CalibrationConfig.from_dict(config.to_dict()) == config
+
+
+def test_json_has_the_promised_keys(result):
+    data = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    promised = {
+        'frame_a', 'frame_b', 'solver', 'reference', 'T_a_b', 'covariance', 'poses', 'motions',
+        'e_rt_m', 'e_rR_deg', 'e_at_m', 'e_aR_deg', 'scale', 'time_offset_s', 'observability',
+        'warnings'}
+    assert promised <= set(data)
+    assert data['frame_a'] == 'lidar'
+    assert data['frame_b'] == 'camera'
+    assert len(data['T_a_b']['translation']) == 3
+    assert np.linalg.norm(data['T_a_b']['rotation_xyzw']) == pytest.approx(1)
+    assert data['e_at_m'] is None
+    assert data['e_aR_deg'] is None
+
+
+def test_truth_fills_the_absolute_errors(result):
+    truth = result.T_a_b.copy()
+    truth[0, 3] += 0.25
+    data = result.to_dict(truth)
+    assert data['e_at_m'] == pytest.approx(0.25)
+    assert data['e_aR_deg'] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_saved_result_reads_back(result, tmp_path):
+    path = tmp_path / 'result.yaml'
+    result.save(path)
+    again = CalibrationResult.load(path)
+    np.testing.assert_allclose(again.T_a_b, result.T_a_b, atol=1e-14)
+    if result.covariance is not None:
+        np.testing.assert_allclose(again.covariance, result.covariance)
+    np.testing.assert_array_equal(again.inliers, result.inliers)
+    for name in ('frame_a', 'frame_b', 'poses', 'motions', 'association', 'config', 'warnings',
+                 'scale', 'version'):
+        assert getattr(again, name) == getattr(result, name), name
+    assert [p.name for p in tmp_path.iterdir()] == ['result.yaml']
+
+
+def test_inliers_survive_as_ranges(result, tmp_path):
+    for mask in (np.zeros(result.motions, bool), np.ones(result.motions, bool),
+                 np.arange(result.motions) % 3 == 1):
+        changed = dataclasses.replace(result, inliers=mask)
+        changed.save(tmp_path / 'r.yaml')
+        np.testing.assert_array_equal(
+            CalibrationResult.load(tmp_path / 'r.yaml').inliers, mask)
+
+
+def test_saving_is_whole_or_not_at_all(result, tmp_path):
+    path = tmp_path / 'result.yaml'
+    path.write_text('precious')
+    bad = dataclasses.replace(result, frame_a=object())
+    with pytest.raises(Exception, match='object'):
+        bad.save(path)
+    assert path.read_text() == 'precious'
+    assert [p.name for p in tmp_path.iterdir()] == ['result.yaml']
+
+
+def test_a_place_that_cannot_be_written_is_named(result, tmp_path):
+    with pytest.raises(ResultError, match='cannot be written: No such file or directory'):
+        result.save(tmp_path / 'nowhere' / 'result.yaml')
+
+
+@pytest.mark.parametrize('text, message', [
+    ('', 'holds no calibration result'),
+    ('a: [1, 2', 'cannot be read as a result'),
+    ('hello: world', 'KeyError'),
+    ('!!python/object/apply:os.system ["true"]', 'cannot be read'),
+    ('\0\1', 'cannot be read'),
+])
+def test_other_files_are_not_results(tmp_path, text, message):
+    path = tmp_path / 'x.yaml'
+    path.write_text(text)
+    with pytest.raises(ResultError, match=message):
+        CalibrationResult.load(path)
+
+
+@pytest.mark.parametrize('key, value', [
+    ('format_version', 99), ('T_a_b', None), ('T_a_b', {'translation': [0, 0], 'rotation_xyzw': [
+        0, 0, 0, 1]}), ('config', {'solver': 'x'}), ('inlier_motions', 'a-b'), ('poses', 'many')])
+def test_a_spoilt_result_is_refused(result, key, value):
+    data = {**result.to_dict(), key: value}
+    with pytest.raises(ResultError):
+        CalibrationResult.from_dict(data)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ResultError, match='No such file'):
+        CalibrationResult.load(tmp_path / 'none.yaml')
+
+
+def test_two_sensors_of_one_name_are_a_warning():
+    rng = np.random.default_rng(1)
+    a, b = sensor_pair(rng, random_pose(rng))
+    same = Trajectory(b.stamps_ns, b.poses, 'w', 'lidar')
+    warnings = calibrate(a, same, CalibrationConfig(solver='taylor')).warnings
+    assert any('both sensors are named lidar' in warning for warning in warnings)
+
+
+def test_versions_agree(result):
+    root = Path(__file__).parents[1]
+    version = CalibrationResult.__dataclass_fields__['version'].default
+    assert f'<version>{version}</version>' in (root / 'package.xml').read_text()
+    assert result.to_dict()['package_version'] == version
