@@ -10,17 +10,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 import mmap
+from pathlib import Path
 import sqlite3
 import struct
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
 
 from trajectory_calibration.sources.storage import Channel, DAMAGE, Message
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 _MCAP_MAGIC = b'\x89MCAP0\r\n'
 # Rows in a row without one that can be read, after which there are none left.
