@@ -23,6 +23,7 @@ SOLVERS = {
     'ali': 'nonlinear, translation rows only (Ali et al. 2019, cost Xc1)',
     'park': 'separable: rotation vectors aligned, then translation (Park et al. 2020)',
     'taylor': 'separable: Kabsch, then translation (Taylor and Nieto 2015)',
+    'drift_aware': 'maximum likelihood with white noise, drift and jumps in one model',
     'zhuang': 'Gauss-Newton in z = tan(w/2) k (Zhuang and Qu 1994)',
 }
 SOLVER_NAMES = tuple(SOLVERS)

@@ -3,11 +3,45 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.se3 import FloatArray
+
+if TYPE_CHECKING:
+    from trajectory_calibration.solvers.drift.diagnosis import Diagnosis
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """The estimating equations ``sum Z^T r = 0`` of a solver, to first order about an extrinsic.
+
+    One entry for each motion. The parameters are (t, theta), ``t + dt`` and ``exp(theta) R``.
+
+    Attributes
+    ----------
+    residual : (M, 6), r: three of the rotation, three of the translation.
+    jacobian : (M, 6, 6), derivative of r in the parameters.
+    instrument : (M, 6, 6), Z: the jacobian for least squares, part of it for methods in stages.
+    disturbance : (M, 6, 6), derivative of r in eta, ``C exp(eta)``, the error of a motion as
+        sensor b reports it, in the axes of a.
+
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    instrument: FloatArray
+    disturbance: FloatArray
+
+
+class Linearise(Protocol):
+    """How a solver tells its equations, for covariances."""
+
+    def __call__(self, T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
+        """Linearise at ``T_a_b`` the motions A and ``C = X B X^-1``, both (M, 4, 4), in a."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +55,12 @@ class Solution:
     iterations : iterations of the start that won.
     inliers : (M,) bool, the motions that the solver kept, or None where it rejects none.
     covariance : (6, 6) or None; order and side as in ``CalibrationResult``.
+    linearise : its estimating equations, from which the covariance follows where a solver has
+        none of its own; None where they do not apply.
     warnings : sentences for the result.
+    scale : metres of a per metre of b that the solver found, 1 where it does not look for it.
+    time_offset_s : seconds to add to the stamps of b, on top of what the association added.
+    diagnosis : the noise of the two trajectories, or None where the solver does not identify it.
 
     """
 
@@ -30,4 +69,8 @@ class Solution:
     iterations: int
     inliers: NDArray[np.bool_] | None = None
     covariance: FloatArray | None = None
+    linearise: Linearise | None = None
     warnings: tuple[str, ...] = ()
+    scale: float = 1.0
+    time_offset_s: float = 0.0
+    diagnosis: Diagnosis | None = None

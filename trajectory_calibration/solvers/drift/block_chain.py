@@ -45,7 +45,8 @@ class BlockChain:
 
     Attributes
     ----------
-    levels : from the finest to the coarsest; the last one holds the single remaining block.
+    levels : from the finest to the coarsest.
+    root : (n, n), the inverse Cholesky factor of the block that remains.
     log_determinant : of the whole matrix.
 
     """
@@ -103,10 +104,10 @@ class BlockChain:
         for level, half in zip(reversed(self.levels), reversed(halves), strict=True):
             fine = np.empty((level.blocks, n, x.shape[2]))
             fine[0::2] = x
-            half -= level.coupling[:, :, :n] @ x[:len(half)]
+            own = half - level.coupling[:, :, :n] @ x[:len(half)]
             after = len(x) - 1
-            half[:after] -= level.coupling[:after, :, n:] @ x[1:]
-            fine[1::2] = level.inverse_root.transpose(0, 2, 1) @ half
+            own[:after] -= level.coupling[:after, :, n:] @ x[1:]
+            fine[1::2] = level.inverse_root.transpose(0, 2, 1) @ own
             x = fine
         return x
 

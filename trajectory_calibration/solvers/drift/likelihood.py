@@ -1,0 +1,307 @@
+"""The restricted marginal likelihood at a fixed linearisation, with its derivatives.
+
+With residuals ``e = r + J xi + G g`` of covariance R, bodies xi and global parameters g, the
+restricted likelihood integrates both out:
+
+    -2 log L = log|R| + log|H| + min over (xi, g) of e^T R^-1 e,    H = [J G]^T R^-1 [J G].
+
+Its derivatives by the log variances theta_i, ``R_i = dR/dtheta_i``, are
+
+    score_i = tr(P R_i) - y^T P R_i P y,    information_ij = 1/2 y^T P R_i P R_j P y,
+
+P the projected inverse covariance; the second is the average information of A. R. Gilmour,
+R. Thompson, B. R. Cullis, Biometrics 51(4), 1995, doi:10.2307/2533274. Both need no more than
+the solution, neighbouring blocks of the inverse, and one further solution for each variance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.block_chain import BlockChain
+from trajectory_calibration.solvers.drift.model import (
+    Chain,
+    IndexArray,
+    Linearisation,
+    linearise,
+    State,
+)
+from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
+
+# Poses that are linearised at once: the blocks of one piece stay in the cache of a core.
+PIECE = 2048
+# Of a direction in which nothing was observed, m^2 or rad^2: more than any vehicle measures.
+FREE_VARIANCE = 1e6
+# Relative size of eigenvalues that rounding leaves of zero.
+_ROUNDING = 1e-13
+# Up to this many poses the linearisation is kept for the second pass instead of being repeated.
+_KEEP = 32768
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The likelihood and everything that a step needs; m global parameters are estimated.
+
+    Attributes
+    ----------
+    objective : -2 log of the restricted likelihood, up to a constant.
+    covariance : (m, m), of the global parameters; along a direction that the data leave free the
+        variance is ``FREE_VARIANCE``.
+    step_covariance : (m, m), the same with no variance along such directions: nothing moves there.
+    gradient : (m,), of half the quadratic form by the global parameters.
+    parameter_step : (m,), the Gauss-Newton step of the global parameters.
+    body_response : (N, 6, m + 1), the step of the bodies is ``-(last column + rest @ step)``.
+    walk_squares, walk_spread : (N - 1, 2), of the expected walk of each step, translation and
+        rotation: squared length, and trace of the posterior covariance.
+    score, score_information : (6,) and (6, 6), by the log variances.
+    position_traces : tr(P R) over the translation noise of white and walk together.
+    contributions : (N, m), of every pose and the step from it to the gradient at the minimum.
+
+    """
+
+    objective: float
+    covariance: FloatArray
+    step_covariance: FloatArray
+    gradient: FloatArray
+    parameter_step: FloatArray
+    body_response: FloatArray
+    walk_squares: FloatArray
+    walk_spread: FloatArray
+    score: FloatArray
+    score_information: FloatArray
+    position_traces: float
+    contributions: FloatArray
+
+
+def evaluate(chain: Chain, state: State, noise: Noise, columns: IndexArray) -> Evaluation:
+    """Evaluate the likelihood; ``columns`` are the global parameters that are estimated.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The normal equations are not positive definite.
+
+    """
+    return _Evaluator(chain, state, noise, columns).run()
+
+
+def invert_information(
+    information: FloatArray, scale: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Invert the (m, m) information where it is more than rounding.
+
+    ``scale`` is the (m, m) information before the bodies were eliminated: its difference to what
+    is left carries its rounding errors, and an eigenvalue below those is zero.
+
+    Returns the inverse over the observed directions, the (m, m) projector on the others, and
+    the logarithm of the determinant over the observed ones.
+    """
+    root = np.sqrt(np.diag(scale))
+    eigenvalues, axes = np.linalg.eigh(information / np.outer(root, root))
+    seen = eigenvalues > _ROUNDING
+    scaled = axes / root[:, None]
+    inverse = scaled[:, seen] @ (scaled[:, seen] / eigenvalues[seen]).T
+    blind, _ = np.linalg.qr(scaled[:, ~seen])
+    log_determinant = float(np.log(eigenvalues[seen]).sum() + 2 * np.log(root).sum())
+    return inverse, blind @ blind.T, log_determinant
+
+
+class _Evaluator:
+    """The working arrays of one evaluation."""
+
+    def __init__(self, chain: Chain, state: State, noise: Noise, columns: IndexArray) -> None:
+        self.chain, self.state, self.noise, self.columns = chain, state, noise, columns
+        self.m = len(columns)
+        self.white_parts = noise.white_parts(state.T_a_b)
+        self.white = self.white_parts.sum(axis=0)
+        self.white_precision = np.linalg.inv(self.white)
+        self.white_root = np.linalg.cholesky(self.white_precision).T
+        self.walk_parts = noise.walk_parts()
+        self.narrow = self.walk_parts.sum(axis=0)
+        self.walk_precision = noise.walk_precision(self.narrow)
+        self.kept: list[Linearisation] = []
+
+    def pieces(self) -> Iterator[tuple[int, Linearisation]]:
+        """Yield the first pose and the linearisation of every piece."""
+        for i, first in enumerate(range(0, len(self.chain), PIECE)):
+            if i < len(self.kept):
+                yield first, self.kept[i]
+                continue
+            last = min(first + PIECE, len(self.chain))
+            piece = linearise(self.chain, self.state, self.columns, first, last)
+            if len(self.chain) <= _KEEP:
+                self.kept.append(piece)
+            yield first, piece
+
+    def run(self) -> Evaluation:
+        N, m = len(self.chain), self.m
+        diagonal, upper, border, corner = self.normal_equations()
+        system = BlockChain.factor(diagonal, upper)
+        response = system.solve(border)
+        schur = corner - np.tensordot(border, response, ((0, 1), (0, 1)))
+        schur = 0.5 * (schur + schur.T)
+        gradient = schur[:m, m]
+        covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
+        step = -covariance @ gradient
+        objective = (
+            N * np.linalg.slogdet(self.white)[1] + self.noise.mixture_terms(self.narrow)
+            + system.log_determinant + log_information
+            + schur[m, m] + gradient @ step)
+        posterior = self.posterior(system, response, step, covariance)
+        score, traces = self.score(posterior)
+        return Evaluation(
+            objective=float(objective),
+            covariance=covariance + FREE_VARIANCE * free,
+            step_covariance=covariance,
+            gradient=gradient,
+            parameter_step=step,
+            body_response=response,
+            walk_squares=posterior.walk_squares,
+            walk_spread=posterior.walk_spread,
+            score=score,
+            score_information=self.score_information(
+                system, border[:, :, :m], covariance, posterior),
+            position_traces=traces,
+            contributions=posterior.contributions,
+        )
+
+    def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return diagonal, upper, the border with the right-hand side, and the corner."""
+        N, m = len(self.chain), self.m
+        diagonal = np.zeros((N, 6, 6))
+        upper = np.empty((N - 1, 6, 6))
+        border = np.zeros((N, 6, m + 1))
+        corner = np.zeros((m + 1, m + 1))
+        for first, piece in self.pieces():
+            observation = self.white_root @ piece.observation
+            poses = slice(first, first + len(observation))
+            product = observation[:, :, :6].transpose(0, 2, 1) @ observation
+            diagonal[poses] += product[:, :, :6]
+            border[poses] += product[:, :, 6:]
+            flat = observation[:, :, 6:].reshape(-1, m + 1)
+            corner += flat.T @ flat
+            steps = slice(first, first + len(piece.walk))
+            weights = np.repeat(np.sqrt(self.walk_precision[steps]), 3, axis=1)
+            walk = weights[:, :, None] * piece.walk
+            product = walk[:, :, :12].transpose(0, 2, 1) @ walk
+            after = slice(first + 1, first + 1 + len(walk))
+            diagonal[steps] += product[:, :6, :6]
+            diagonal[after] += product[:, 6:, 6:12]
+            upper[steps] = product[:, :6, 6:12]
+            border[steps] += product[:, :6, 12:]
+            border[after] += product[:, 6:, 12:]
+            flat = walk[:, :, 12:].reshape(-1, m + 1)
+            corner += flat.T @ flat
+        return diagonal, upper, border, corner
+
+    def posterior(
+        self, system: BlockChain, response: FloatArray, step: FloatArray, covariance: FloatArray,
+    ) -> _Posterior:
+        """Return the residuals at the minimum and what is known of their covariance."""
+        N, m = len(self.chain), self.m
+        S, C = system.partial_inverse()
+        eigenvalues, axes = np.linalg.eigh(covariance)
+        root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
+        # All columns at once: the design after the bodies have followed, then the residual.
+        follow = np.concatenate([np.eye(m + 1)[:, :m], np.append(step, 1.0)[:, None]], axis=1)
+        observed = np.empty((N, 6))
+        walked = np.empty((N - 1, 6))
+        spread = np.empty((N - 1, 2))
+        contributions = np.zeros((N, m))
+        white_spread = np.zeros((6, 6))
+        for first, piece in self.pieces():
+            poses = slice(first, first + len(piece.observation))
+            J = piece.observation[:, :, :6]
+            design = (piece.observation[:, :, 6:] - J @ response[poses]) @ follow
+            observed[poses] = design[:, :, m]
+            part = design[:, :, :m] @ root
+            white_spread += np.einsum('kij,klj->il', J @ S[poses], J, optimize=True)
+            white_spread += np.tensordot(part, part, ((0, 2), (0, 2)))
+            contributions[poses] += np.einsum(
+                'kij,ki->kj', design[:, :, :m], observed[poses] @ self.white_precision)
+            steps = slice(first, first + len(piece.walk))
+            after = slice(first + 1, first + 1 + len(piece.walk))
+            K, L = piece.walk[:, :, :6], piece.walk[:, :, 6:12]
+            design = (piece.walk[:, :, 12:] - K @ response[steps] - L @ response[after]) @ follow
+            walked[steps] = design[:, :, m]
+            part = design[:, :, :m] @ root
+            variance = ((K @ S[steps] + 2 * L @ C[steps].transpose(0, 2, 1)) * K).sum(axis=2)
+            variance += ((L @ S[after]) * L).sum(axis=2) + (part**2).sum(axis=2)
+            spread[steps] = variance.reshape(-1, 2, 3).sum(axis=2)
+            weighted = np.repeat(self.walk_precision[steps], 3, axis=1) * walked[steps]
+            contributions[steps] += np.einsum('kij,ki->kj', design[:, :, :m], weighted)
+        squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
+        return _Posterior(observed, walked, squares, spread, white_spread, contributions)
+
+    def score(self, posterior: _Posterior) -> tuple[FloatArray, float]:
+        """Return the (6,) score by the log variances and tr(P R) of the translations."""
+        N = len(self.chain)
+        score = np.empty(len(COMPONENTS))
+        W = self.white_precision
+        weighted = posterior.observed @ W
+        excess = N * W - W @ posterior.white_spread @ W
+        energy = weighted.T @ weighted
+        for i, part in enumerate(self.white_parts):
+            score[i] = np.sum((excess - energy) * part)
+        expected = posterior.walk_squares + posterior.walk_spread
+        common = (1 - self.noise.jump_probability) * (3 - expected / self.narrow) / self.narrow
+        score[WHITE:] = np.einsum('ckj,kj->cj', self.walk_parts, common).ravel()
+        traces = np.sum(excess * self.white_parts[0])
+        traces += np.sum(3 - posterior.walk_spread[:, 0] * self.walk_precision[:, 0])
+        return score, float(traces)
+
+    def score_information(
+        self, system: BlockChain, border: FloatArray, covariance: FloatArray,
+        posterior: _Posterior,
+    ) -> FloatArray:
+        """Return the (6, 6) average information of the log variances."""
+        N, m, n = len(self.chain), self.m, len(COMPONENTS)
+        weighted = posterior.observed @ self.white_precision
+        # R^-1 R_i P y of the observations and of the walk.
+        observed = np.zeros((N, 6, WHITE))
+        for i, part in enumerate(self.white_parts):
+            observed[:, :, i] = weighted @ part @ self.white_precision
+        share = ((1 - self.noise.jump_probability) / self.narrow
+                 * self.walk_parts / self.narrow)
+        walked = np.zeros((N - 1, 6, n - WHITE))
+        for i in range(n - WHITE):
+            rows = slice(3 * (i % 2), 3 * (i % 2) + 3)
+            walked[:, rows, i] = share[i // 2, :, i % 2, None] * posterior.walked[:, rows]
+        right = np.zeros((N, 6, n))
+        corner = np.zeros((m, n))
+        for first, piece in self.pieces():
+            poses = slice(first, first + len(piece.observation))
+            product = piece.observation[:, :, :6].transpose(0, 2, 1) @ observed[poses]
+            right[poses, :, :WHITE] += product
+            corner[:, :WHITE] += np.tensordot(
+                piece.observation[:, :, 6:6 + m], observed[poses], ((0, 1), (0, 1)))
+            steps = slice(first, first + len(piece.walk))
+            product = piece.walk[:, :, :12].transpose(0, 2, 1) @ walked[steps]
+            right[steps, :, WHITE:] += product[:, :6]
+            right[first + 1:first + 1 + len(piece.walk), :, WHITE:] += product[:, 6:]
+            corner[:, WHITE:] += np.tensordot(
+                piece.walk[:, :, 12:12 + m], walked[steps], ((0, 1), (0, 1)))
+        solution = system.solve(right)
+        corner -= np.tensordot(border, solution, ((0, 1), (0, 1)))
+        total = -np.tensordot(right, solution, ((0, 1), (0, 1))) - corner.T @ covariance @ corner
+        total[:WHITE, :WHITE] += np.tensordot(
+            observed @ np.eye(WHITE), self.white @ observed, ((0, 1), (0, 1)))
+        variance = np.repeat(1 / self.walk_precision, 3, axis=1)[:, :, None]
+        total[WHITE:, WHITE:] += np.tensordot(walked, variance * walked, ((0, 1), (0, 1)))
+        return 0.25 * (total + total.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Posterior:
+    """Residuals at the minimum: observations (N, 6), walk (N - 1, 6), and their spread."""
+
+    observed: FloatArray
+    walked: FloatArray
+    walk_squares: FloatArray
+    walk_spread: FloatArray
+    white_spread: FloatArray
+    contributions: FloatArray

@@ -1,0 +1,252 @@
+"""The drift-aware model: what two trajectories say about each other, pose by pose.
+
+The unknowns are the extrinsic ``X = T_a_b``, the pose ``Y_k`` of sensor b in the world of a at
+every instant, and up to three global terms. Two residuals tie them to the data:
+
+* observation, of pose k: ``r_k`` between ``A_k X`` and ``Y_k``, the white noise of both sensors;
+* walk, of the step from k to k + 1: ``q_k`` between ``Y_k dB_k`` and ``Y_{k+1}``, the drift and
+  the jumps of both, with ``dB_k = B_k^-1 B_{k+1}``.
+
+Both are (6,): the difference of the positions in the axes of the predicted pose (metres), then
+the rotation vector from the predicted to the found rotation (radians). Poses are perturbed on
+the right in the same way: ``t + R rho``, ``R exp(phi)``.
+
+The global terms correct the translation ``p`` of a step of b, ``s p - l d``, and the time:
+
+* ``scale`` s: metres of a per metre of b;
+* ``systematic_drift`` d: (3,) metres per metre moved, along the axes of b; ``l`` is the length
+  of the corrected step;
+* ``time_offset`` tau: seconds, sensor a is evaluated at ``t + tau``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.association import PosePairs
+from trajectory_calibration.se3 import FloatArray
+
+IndexArray = NDArray[np.intp]
+
+# Columns of the global parameters: the extrinsic, then the terms that may be estimated.
+EXTRINSIC = slice(0, 6)
+TERM_COLUMNS = {
+    'scale': slice(6, 7),
+    'systematic_drift': slice(7, 10),
+    'time_offset': slice(10, 11),
+}
+PARAMETERS = 11
+
+# A step has at least this share of the mean length, so that a sensor at rest may still drift.
+_REST_SHARE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Pose pairs in the form that the model uses.
+
+    Attributes
+    ----------
+    poses_a : (N, 4, 4), sensor a in its world.
+    twist_a : (N, 6), metres and radians a second in the axes of a, from the neighbouring poses.
+    step_rotation, step_translation : (N - 1, 3, 3) and (N - 1, 3), the motion of b, ``dB_k``.
+    step_length : (N - 1), metres, at least a tenth of the mean.
+    step_angle : (N - 1), radians.
+
+    """
+
+    poses_a: FloatArray
+    twist_a: FloatArray
+    step_rotation: FloatArray
+    step_translation: FloatArray
+    step_length: FloatArray
+    step_angle: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.poses_a)
+
+    @classmethod
+    def from_pairs(cls, pairs: PosePairs, every: int = 1) -> Chain:
+        """Take every n-th pair of poses."""
+        poses_a, poses_b = pairs.poses_a[::every], pairs.poses_b[::every]
+        duration = np.diff(pairs.stamps_ns[::every]) * 1e-9
+        steps = se3.inverse(poses_b[:-1]) @ poses_b[1:]
+        length = np.linalg.norm(steps[:, :3, 3], axis=1)
+        mean = float(length.mean())
+        twist = np.empty((len(poses_a), 6))
+        step_twist = se3.log_se3(se3.inverse(poses_a[:-1]) @ poses_a[1:]) / duration[:, None]
+        twist[0], twist[-1] = step_twist[0], step_twist[-1]
+        twist[1:-1] = 0.5 * (step_twist[:-1] + step_twist[1:])
+        return cls(
+            poses_a=poses_a,
+            twist_a=twist,
+            step_rotation=np.ascontiguousarray(steps[:, :3, :3]),
+            step_translation=np.ascontiguousarray(steps[:, :3, 3]),
+            step_length=length + _REST_SHARE * mean if mean > 0 else np.ones(len(length)),
+            step_angle=se3.rotation_angle(steps[:, :3, :3]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Values of the unknowns.
+
+    Attributes
+    ----------
+    T_a_b : (4, 4), the extrinsic.
+    bodies : (N, 4, 4), sensor b in the world of a.
+    scale, systematic_drift, time_offset : the global terms; the drift is (3,).
+
+    """
+
+    T_a_b: FloatArray
+    bodies: FloatArray
+    scale: float
+    systematic_drift: FloatArray
+    time_offset: float
+
+    @classmethod
+    def start(cls, chain: Chain, T_a_b: FloatArray, scale: float = 1.0) -> State:
+        """Put sensor b where a sees it."""
+        return cls(T_a_b, chain.poses_a @ T_a_b, scale, np.zeros(3), 0.0)
+
+    def moved(self, parameters: FloatArray, bodies: FloatArray) -> State:
+        """Return the state after the steps (PARAMETERS,) and (N, 6)."""
+        return replace(
+            self,
+            T_a_b=perturb(self.T_a_b, parameters[EXTRINSIC]),
+            bodies=perturb(self.bodies, bodies),
+            scale=self.scale + float(parameters[6]),
+            systematic_drift=self.systematic_drift + parameters[7:10],
+            time_offset=self.time_offset + float(parameters[10]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Residuals and their derivatives for n consecutive poses and their steps.
+
+    Attributes
+    ----------
+    observation : (n, 6, 6 + m + 1), derivatives by the body and the m global columns, residual.
+    walk : (n', 6, 12 + m + 1), derivatives by both bodies and the global columns, residual.
+
+    """
+
+    observation: FloatArray
+    walk: FloatArray
+
+
+def perturb(poses: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return ``t + R rho``, ``R exp(phi)`` of (..., 4, 4) poses and (..., 6) steps."""
+    R = poses[..., :3, :3]
+    return se3.from_rotation_translation(
+        R @ se3.exp_so3(steps[..., 3:]), poses[..., :3, 3] + _apply(R, steps[..., :3]))
+
+
+def linearise(
+    chain: Chain, state: State, columns: IndexArray, first: int, last: int,
+) -> Linearisation:
+    """Linearise the residuals of the poses first to last - 1 and of the steps from them.
+
+    ``columns`` are the indices of the m global parameters that are estimated.
+    """
+    steps = slice(first, min(last, len(chain) - 1))
+    return Linearisation(
+        _observation(chain, state, columns, slice(first, last)),
+        _walk(chain, state, columns, steps))
+
+
+def _observation(
+    chain: Chain, state: State, columns: IndexArray, poses: slice,
+) -> FloatArray:
+    predicted = chain.poses_a[poses]
+    if state.time_offset:
+        predicted = predicted @ se3.exp_se3(state.time_offset * chain.twist_a[poses])
+    predicted = predicted @ state.T_a_b
+    bodies = state.bodies[poses]
+    R_t = predicted[:, :3, :3].transpose(0, 2, 1)
+    relative = R_t @ bodies[:, :3, :3]
+    translation = _apply(R_t, bodies[:, :3, 3] - predicted[:, :3, 3])
+    rotation = se3.log_so3(relative)
+    left_inverse = se3.left_jacobian_so3_inverse(rotation)
+    result = np.zeros((len(bodies), 6, 7 + len(columns)))
+    result[:, :3, :3] = relative
+    result[:, 3:, 3:6] = left_inverse.transpose(0, 2, 1)
+    # The extrinsic moves the prediction; its six columns always come first.
+    result[:, :3, 6:9] = -np.eye(3)
+    result[:, :3, 9:12] = se3.skew(translation)
+    result[:, 3:, 9:12] = -left_inverse
+    offset = np.flatnonzero(columns == TERM_COLUMNS['time_offset'].start)
+    if len(offset):
+        moved = chain.twist_a[poses] @ se3.adjoint(se3.inverse(state.T_a_b)).T
+        result[:, :, 6 + offset[0]] = _apply(result[:, :, 6:12], moved)
+    result[:, :3, -1] = translation
+    result[:, 3:, -1] = rotation
+    return result
+
+
+def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> FloatArray:
+    start = state.bodies[steps]
+    end = state.bodies[steps.start + 1:steps.stop + 1]
+    p = chain.step_translation[steps]
+    dR_t = chain.step_rotation[steps].transpose(0, 2, 1)
+    R_t = start[:, :3, :3].transpose(0, 2, 1)
+    moved = _apply(R_t, end[:, :3, 3] - start[:, :3, 3])
+    relative = dR_t @ (R_t @ end[:, :3, :3])
+    expected, length, by_drift = corrected_steps(p, state.scale, state.systematic_drift)
+    rotation = se3.log_so3(relative)
+    left_inverse = se3.left_jacobian_so3_inverse(rotation)
+    result = np.zeros((len(p), 6, 13 + len(columns)))
+    result[:, :3, :3] = -dR_t
+    result[:, :3, 3:6] = dR_t @ se3.skew(moved)
+    result[:, 3:, 3:6] = -left_inverse @ dR_t
+    result[:, :3, 6:9] = relative
+    result[:, 3:, 9:12] = left_inverse.transpose(0, 2, 1)
+    for j, column in enumerate(columns[6:], start=18):
+        if column == TERM_COLUMNS['scale'].start:
+            by_scale = p - by_drift_of_length(expected, length, state.systematic_drift, p)
+            result[:, :3, j] = -_apply(dR_t, by_scale)
+        elif column < TERM_COLUMNS['systematic_drift'].stop:
+            axis = int(column) - TERM_COLUMNS['systematic_drift'].start
+            result[:, :3, j] = _apply(dR_t, by_drift[:, :, axis])
+    result[:, :3, -1] = _apply(dR_t, moved - expected)
+    result[:, 3:, -1] = rotation
+    return result
+
+
+def corrected_steps(
+    steps: FloatArray, scale: float, drift: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return ``u = s p - |u| d`` of (n, 3) steps p, its (n,) length and -du/dd (n, 3, 3).
+
+    The drift is counted per metre truly moved, so the length is that of the result: the
+    positive root of ``l^2 (1 - d^2) + 2 l s p.d - s^2 p^2 = 0``.
+    """
+    scaled = scale * steps
+    along = scaled @ drift
+    rest = 1.0 - drift @ drift
+    length = (np.sqrt(along**2 + rest * np.einsum('ij,ij->i', scaled, scaled)) - along) / rest
+    result = scaled - length[:, None] * drift
+    # Differentiating the quadratic: dl/dd = -l u / (l (1 - d^2) + s p.d).
+    slope = np.maximum(length * rest + along, np.finfo(float).tiny)
+    by_length = -(length / slope)[:, None] * result
+    derivative = length[:, None, None] * np.eye(3) + drift[None, :, None] * by_length[:, None, :]
+    return result, length, derivative
+
+
+def by_drift_of_length(
+    corrected: FloatArray, length: FloatArray, drift: FloatArray, steps: FloatArray,
+) -> FloatArray:
+    """Return (n, 3) ``d dl/ds``, how the scale changes what the drift takes off a step."""
+    along = np.einsum('ij,ij->i', corrected, steps)
+    slope = np.maximum(length + corrected @ drift, np.finfo(float).tiny)
+    return (along / slope)[:, None] * drift
+
+
+def _apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    return (matrices @ vectors[..., None])[..., 0]

@@ -1,0 +1,169 @@
+"""The noise of a pair of trajectories: white, walk, and rare jumps.
+
+White noise sits on every pose. With equal sensors it is, in the axes of b and about the body of
+b, ``sigma_t^2 V_t + sigma_r^2 V_r``: noise of rotation of sensor a moves b by the lever arm.
+
+The walk of a step has two causes, each with a variance for translation and one for rotation:
+one per metre moved, and one per squared radian turned, because real SLAM bends and stretches
+turns. On top of it comes, rarely, a jump: a mixture whose responsibilities name the outliers. A
+wide component of the mixture redescends, which a Student's t does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.model import Chain
+
+# Log variances, in this order.
+COMPONENTS = (
+    'white_translation', 'white_rotation',
+    'walk_translation_per_metre', 'walk_rotation_per_metre',
+    'walk_translation_per_radian', 'walk_rotation_per_radian',
+)
+WHITE = 2
+
+# No standard deviation of one pose or step is taken below this (m, rad): rounding of files.
+_SMALLEST = 1e-8
+# White and walk are kept within this ratio of variances, which keeps the equations solvable.
+_LARGEST_RATIO = 1e8
+# A jump has at least this many times the variance of the median step.
+_JUMP_RATIO = 30.0
+# ... and this many times that of the white noise of a pose: less does not stand out.
+_JUMP_TO_WHITE = 8.0
+# Before the data speak: one step in fifty is a jump, an opinion worth this many steps.
+_PRIOR_JUMPS, _PRIOR_STEPS = 0.2, 20.0
+# The median of chi-squared with three degrees of freedom.
+_CHI2_MEDIAN = 2.366
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Variances of the noise, and how likely each step is a jump.
+
+    Attributes
+    ----------
+    log_variances : (6,), in the order of COMPONENTS: m^2, rad^2 for one pose (each sensor),
+        then of the walk per metre and per squared radian.
+    profiles : (2, N - 1), metres and squared radians of each step.
+    jump_probability : (N - 1, 2), that the step is a jump of translation, of rotation.
+    jump_variance : (2,), m^2 and rad^2.
+    jump_share : (2,), of the steps.
+
+    """
+
+    log_variances: FloatArray
+    profiles: FloatArray
+    jump_probability: FloatArray
+    jump_variance: FloatArray
+    jump_share: FloatArray
+
+    @classmethod
+    def guess(cls, chain: Chain, steps: FloatArray) -> Noise:
+        """Guess from (N - 1, 6) differences of the steps of both sensors."""
+        squares = _squares(steps)
+        scale = np.maximum(np.median(squares, axis=0) / _CHI2_MEDIAN, _SMALLEST**2)
+        profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+        log_variances = np.log(np.concatenate([
+            scale / 8, scale / 4 / np.median(profiles[0]), scale / 4 / np.mean(profiles[1])]))
+        tail = max(3, len(squares) // 20)
+        largest = np.sort(squares, axis=0)[-tail:].mean(axis=0) / 3
+        return cls(log_variances, profiles, np.full(squares.shape, 0.02),
+                   np.maximum(largest, _JUMP_RATIO * scale), np.full(2, 0.02))
+
+    def carried_to(self, chain: Chain) -> Noise:
+        """Return the same variances for another chain, the jumps not yet located."""
+        profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+        probability = np.broadcast_to(self.jump_share, (profiles.shape[1], 2)).copy()
+        return replace(self, profiles=profiles, jump_probability=probability)
+
+    @property
+    def variances(self) -> FloatArray:
+        """The (6,) variances."""
+        return np.exp(self.log_variances)
+
+    def white_parts(self, T_a_b: FloatArray) -> FloatArray:
+        """Return the (2, 6, 6) covariances that translation and rotation add to a pose."""
+        R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+        # Rotation noise phi of a moves b by R^T (phi x t) and turns it by R^T phi.
+        lever = np.concatenate([-R.T @ se3.skew(t), R.T])
+        parts = np.zeros((2, 6, 6))
+        parts[0, :3, :3] = 2 * np.eye(3)
+        parts[1] = lever @ lever.T
+        parts[1, 3:, 3:] += np.eye(3)
+        return self.variances[:WHITE, None, None] * parts
+
+    def walk_parts(self) -> FloatArray:
+        """Return (2, N - 1, 2): variance of a step by length, by angle; translation, rotation."""
+        return self.variances[WHITE:].reshape(2, 1, 2) * self.profiles[:, :, None]
+
+    def walk_precision(self, narrow: FloatArray) -> FloatArray:
+        """Return the (N - 1, 2) expected precision given the (N - 1, 2) variance of no jump."""
+        gamma = self.jump_probability
+        return (1 - gamma) / narrow + gamma / (narrow + self.jump_variance)
+
+    def mixture_terms(self, narrow: FloatArray) -> float:
+        """Return the log determinants of the walk and the entropy of the jumps, times -2."""
+        gamma = self.jump_probability
+        tiny = np.finfo(float).tiny
+        log_determinant = 3 * ((1 - gamma) * np.log(narrow)
+                               + gamma * np.log(narrow + self.jump_variance)).sum()
+        prior = (gamma * np.log(self.jump_share)
+                 + (1 - gamma) * np.log1p(-self.jump_share)).sum()
+        entropy = -(gamma * np.log(np.maximum(gamma, tiny))
+                    + (1 - gamma) * np.log(np.maximum(1 - gamma, tiny))).sum()
+        return float(log_determinant - 2 * (prior + entropy))
+
+    def with_jumps(self, squares: FloatArray, spread: FloatArray) -> Noise:
+        """Judge every step anew.
+
+        Parameters
+        ----------
+        squares : (N - 1, 2)
+            Squared length of the expected walk of each step, translation and rotation.
+        spread : (N - 1, 2)
+            Trace of its posterior covariance.
+
+        The step's own assumption is taken out of its posterior first, which leaves what the
+        other poses say (the cavity of expectation propagation, covariance taken as isotropic);
+        jump or not is then the better explanation of that.
+
+        """
+        narrow = self.walk_parts().sum(axis=0)
+        assumed = 1 / self.walk_precision(narrow)
+        share = 1 - np.minimum(spread / 3 / assumed, 1 - 1e-9)
+        variance = (assumed * (1 - share)) / share
+        mean_square = squares / share**2
+        wide = variance + narrow + self.jump_variance
+        narrow = variance + narrow
+        log_odds = (1.5 * np.log(narrow / wide) - 0.5 * mean_square * (1 / wide - 1 / narrow)
+                    + np.log(self.jump_share / (1 - self.jump_share)))
+        gamma = 1 / (1 + np.exp(-np.clip(log_odds, -50, 50)))
+        count = gamma.sum(axis=0)
+        found = (gamma * (squares + spread)).sum(axis=0) / np.maximum(3 * count, 1e-12)
+        floor = np.maximum(
+            _JUMP_RATIO * np.median(self.walk_parts().sum(axis=0), axis=0),
+            _JUMP_TO_WHITE * self.variances[:WHITE])
+        return replace(
+            self, jump_probability=gamma, jump_variance=np.maximum(found, floor),
+            jump_share=(count + _PRIOR_JUMPS) / (len(gamma) + _PRIOR_STEPS))
+
+    def with_log_variances(self, log_variances: FloatArray) -> Noise:
+        """Return the noise with new log variances, kept where the equations can be solved."""
+        typical = np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
+                            np.mean(self.profiles[1]) * np.ones(2)])
+        # Of one typical step; rows: white, by length, by angle.
+        step = np.asarray(log_variances).reshape(3, 2) + np.log(typical)
+        lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) - np.log(_LARGEST_RATIO))
+        step = np.maximum(step, lowest)
+        return replace(self, log_variances=(step - np.log(typical)).ravel())
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Return (n, 2) squared lengths of the translation and the rotation of (n, 6)."""
+    return np.stack([np.einsum('ij,ij->i', vectors[:, :3], vectors[:, :3]),
+                     np.einsum('ij,ij->i', vectors[:, 3:], vectors[:, 3:])], axis=1)

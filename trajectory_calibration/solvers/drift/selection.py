@@ -1,0 +1,213 @@
+"""Where to start, which global terms the data support, and the final fit.
+
+All of it happens first on a thinned chain, which has the same noise model (white noise of a
+pose, walk of a metre), then on all poses, where only a few iterations are left to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trajectory_calibration.association import PosePairs
+from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.motions import select_motions
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, Fit, fit
+from trajectory_calibration.solvers.drift.likelihood import evaluate
+from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
+
+# Poses of the thinned chain.
+COARSE = 300
+# Lags (poses of the thinned chain) whose least-squares answers serve as starts, and the
+# iterations after which the most likely start goes on alone.
+_START_LAGS = (1, 5, 20)
+_RACE = 4
+# While the chain is only a means to a start, negligible means ten times more.
+_ROUGH = 10.0
+# Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
+# percent and one hundredth of a second. The tails leave room for more.
+_PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
+# In forward motion a scale is a drift along the motion: only one of them is taken in by itself.
+_RIVALS = (('scale', 'systematic_drift'),)
+# Twice the logarithm of the Bayes factor (3) from which a term is taken in.
+_SUPPORT = 2.2
+# Without the term its effect passes for noise, so that the prediction is too low; below this a
+# fit is not worth trying.
+_HOPELESS = -10.0
+
+
+def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
+    """Fit the model to pose pairs.
+
+    Parameters
+    ----------
+    pairs : PosePairs
+        At least three.
+    terms : mapping
+        For each of ``TERM_COLUMNS`` 'fixed' (not estimated), 'estimate', or 'auto': estimated
+        where a Bayes factor of 3 supports it.
+
+    Raises
+    ------
+    MotionError
+        The sensors did not turn.
+    SolverError
+        The equations cannot be solved.
+
+    """
+    wanted = tuple(name for name in TERM_COLUMNS if terms[name] == 'estimate')
+    optional = tuple(name for name in TERM_COLUMNS if terms[name] == 'auto')
+    every = max(1, len(pairs) // COARSE)
+    coarse = Chain.from_pairs(pairs, every)
+    best = _best_start(pairs, every, coarse, wanted)
+    best = _grow(best, optional)
+    if every == 1:
+        best = fit(coarse, best.state, best.noise, best.terms)
+    else:
+        chain = Chain.from_pairs(pairs)
+        state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
+        best = fit(chain, state, best.noise.carried_to(chain), best.terms)
+        best = _revise(best, optional)
+    return best
+
+
+def _best_start(
+    pairs: PosePairs, every: int, chain: Chain, terms: tuple[str, ...],
+) -> Fit:
+    """Return the most likely fit over several starts."""
+    fits = []
+    for T_a_b, scale in starts(pairs, every, free_scale='scale' in terms):
+        state = State.start(chain, T_a_b, scale)
+        fits.append(fit(chain, state, first_noise(chain, state), terms, _RACE))
+    ahead = min(fits, key=lambda candidate: candidate.evaluation.objective)
+    return fit(chain, ahead.state, ahead.noise, terms, tolerance=_ROUGH)
+
+
+def starts(
+    pairs: PosePairs, every: int, *, free_scale: bool,
+) -> list[tuple[FloatArray, float]]:
+    """Return extrinsics and scales: the least-squares answers of a few lags."""
+    thinned = PosePairs(pairs.stamps_ns[::every], pairs.poses_a[::every],
+                        pairs.poses_b[::every], pairs.summary)
+    found = []
+    for lag in _START_LAGS:
+        if len(thinned) - lag < 2:
+            continue
+        motions = select_motions(thinned, f'B{lag}')
+        scale = 1.0
+        if free_scale:
+            moved_a, moved_b = (float(np.median(np.linalg.norm(poses[:, :3, 3], axis=1)))
+                                for poses in (motions.A, motions.B))
+            scale = moved_a / moved_b if moved_a > 0 and moved_b > 0 else 1.0
+            B = motions.B.copy()
+            B[:, :3, 3] *= scale
+            motions = replace(motions, B=B)
+        G = quadratic.gram(motions)
+        # A direction of the translation that the motion leaves free starts at zero.
+        G[range(9, 12), range(9, 12)] += 1e-9 * max(float(np.trace(G[9:12, 9:12])), 1e-12)
+        try:
+            found.append((quadratic.minimise(G).T_a_b, scale))
+        except MotionError as error:
+            failure = error
+    if not found:
+        raise failure
+    return found
+
+
+def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
+    """Take in the optional terms one by one, the best supported first."""
+    while True:
+        candidates = []
+        for name in optional:
+            if _excluded(name, best.terms) or _gain_of_adding(best, name) < _HOPELESS:
+                continue
+            terms = (*best.terms, name)
+            try:
+                candidate = fit(
+                    best.chain, best.state, best.noise, terms, tolerance=_ROUGH)
+            except SolverError:
+                # A term that the motion cannot tell from another one is not supported by it.
+                continue
+            gain = (best.evaluation.objective - candidate.evaluation.objective
+                    - _prior_cost(name, _value(candidate.state, name)))
+            candidates.append((gain, candidate))
+        if not candidates:
+            return best
+        gain, candidate = max(candidates, key=lambda pair: pair[0])
+        if gain < _SUPPORT:
+            return best
+        best = candidate
+
+
+def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
+    """Judge the optional terms again with all poses; refit where the verdict changes."""
+    terms = []
+    for name in TERM_COLUMNS:
+        if name in optional:
+            if name in best.terms:
+                supported = _gain_of_keeping(best, name) > 0
+            else:
+                supported = (not _excluded(name, best.terms)
+                             and _gain_of_adding(best, name) > _SUPPORT)
+        else:
+            supported = name in best.terms
+        if supported:
+            terms.append(name)
+    if tuple(terms) == best.terms:
+        return best
+    state = best.state
+    if 'scale' not in terms:
+        state = replace(state, scale=1.0)
+    if 'systematic_drift' not in terms:
+        state = replace(state, systematic_drift=np.zeros(3))
+    if 'time_offset' not in terms:
+        state = replace(state, time_offset=0.0)
+    return fit(best.chain, state, best.noise, terms)
+
+
+def _excluded(name: str, terms: tuple[str, ...]) -> bool:
+    """Tell whether a term is in already, or a rival that explains the same data."""
+    return name in terms or any(name in pair and set(pair) & set(terms) for pair in _RIVALS)
+
+
+def _gain_of_adding(best: Fit, name: str) -> float:
+    """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
+    columns = columns_of((*best.terms, name))
+    evaluation = evaluate(best.chain, best.state, best.noise, columns)
+    place = _place(columns, name)
+    step = evaluation.parameter_step[place]
+    covariance = evaluation.covariance[np.ix_(place, place)]
+    return _gain(name, step, covariance)
+
+
+def _gain_of_keeping(best: Fit, name: str) -> float:
+    place = _place(columns_of(best.terms), name)
+    return _gain(name, _value(best.state, name), best.evaluation.covariance[np.ix_(place, place)])
+
+
+def _gain(name: str, value: FloatArray, covariance: FloatArray) -> float:
+    statistic = float(value @ np.linalg.solve(covariance, value))
+    return statistic + float(np.linalg.slogdet(covariance)[1]) - _prior_cost(name, value)
+
+
+def _prior_cost(name: str, value: FloatArray) -> float:
+    """Return -2 log of the Cauchy prior, less the Gaussian constant of Laplace's method."""
+    scale = _PRIOR_SCALE[name]
+    density = np.pi * scale * (1 + (value / scale)**2)
+    return float(2 * np.log(density).sum() - len(value) * np.log(2 * np.pi))
+
+
+def _value(state: State, name: str) -> FloatArray:
+    """Return how far a term is from doing nothing."""
+    values = {'scale': np.array([state.scale - 1]), 'systematic_drift': state.systematic_drift,
+              'time_offset': np.array([state.time_offset])}
+    return values[name]
+
+
+def _place(columns: IndexArray, name: str) -> IndexArray:
+    wanted = TERM_COLUMNS[name]
+    return np.flatnonzero((columns >= wanted.start) & (columns < wanted.stop))

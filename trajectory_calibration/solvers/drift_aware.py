@@ -1,0 +1,69 @@
+"""Drift-aware: maximum likelihood with white noise, drift and jumps in one model.
+
+Every other solver takes relative motions over a fixed lag: short ones drown in white noise, long
+ones in drift. Here both noises are in the model (``solvers/drift/model.py``), their variances
+come from the data (``solvers/drift/likelihood.py``), and jumps are named and set aside, so that
+no lag, no threshold and no start is asked for. The relative motions given to the solver are not
+used, only the pose pairs they were made from. ``docs/drift_aware.md`` has the derivations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from trajectory_calibration.association import PosePairs
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import SolverError
+from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.solvers.drift.covariance import in_parent_axes, parameter_covariance
+from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
+from trajectory_calibration.solvers.drift.model import EXTRINSIC, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.selection import estimate
+from trajectory_calibration.solvers.solution import Solution
+
+# Fewer pose pairs than this do not tell noise from extrinsic.
+MIN_POSES = 10
+
+AUTOMATIC = dict.fromkeys(TERM_COLUMNS, 'auto')
+
+
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the most likely extrinsic with its covariance.
+
+    Its cost is -2 log of the restricted marginal likelihood, up to a constant.
+
+    Raises
+    ------
+    MotionError
+        The sensors did not turn.
+    SolverError
+        Too few poses, or equations that cannot be solved.
+
+    """
+    del config  # nothing to set
+    return solve_pairs(motions.pairs, AUTOMATIC)
+
+
+def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
+    """Return the most likely extrinsic of pose pairs.
+
+    ``terms`` says 'fixed', 'estimate' or 'auto' for 'scale', 'systematic_drift' and
+    'time_offset'; raises as ``solve``.
+    """
+    if len(pairs) < MIN_POSES:
+        raise SolverError(
+            f'drift_aware: {len(pairs)} pairs of poses, needed at least {MIN_POSES} to tell noise '
+            'from motion; record longer or use dnl')
+    fit = estimate(pairs, terms)
+    covariance = parameter_covariance(fit)
+    diagnosis = diagnose(fit, covariance, pairs.stamps_ns)
+    return Solution(
+        T_a_b=fit.state.T_a_b,
+        cost=fit.evaluation.objective,
+        iterations=fit.iterations,
+        covariance=in_parent_axes(covariance[EXTRINSIC, EXTRINSIC], fit.state.T_a_b),
+        warnings=warnings_of(diagnosis),
+        scale=fit.state.scale,
+        time_offset_s=fit.state.time_offset,
+        diagnosis=diagnosis,
+    )
