@@ -61,7 +61,7 @@ setup(
             'ruff>=0.6',
         ],
         # colcon passes setup.py options that setuptools 80 removed.
-        'colcon': ['colcon-common-extensions', 'setuptools<80'],
+        'colcon': ['colcon-common-extensions', 'setuptools>=70.1,<80'],
     },
     entry_points={
         'console_scripts': [

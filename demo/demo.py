@@ -51,7 +51,7 @@ class Answer:
 
     @property
     def matrix(self) -> np.ndarray:
-        """The (4, 4) pose of b in a."""
+        """Return the (4, 4) pose of b in a."""
         return se3.from_rotation_translation(
             se3.quaternion_to_rotation(self.rotation_xyzw), self.translation)
 

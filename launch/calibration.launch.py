@@ -1,5 +1,7 @@
 """Start the calibration node.
 
+Two topics are all it needs::
+
     ros2 launch trajectory_calibration calibration.launch.py \
         topic_a:=/lidar_slam/odometry topic_b:=/visual_slam/odometry
 """
@@ -7,11 +9,10 @@
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-
-from launch import LaunchDescription
 
 
 def generate_launch_description():

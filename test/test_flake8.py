@@ -11,6 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.mark.flake8
 @pytest.mark.linter
 def test_flake8():
-    paths = [str(ROOT / name) for name in ('trajectory_calibration', 'test', 'demo', 'setup.py')]
-    code, errors = main.main_with_errors(argv=paths)
+    paths = ('trajectory_calibration', 'demo', 'launch', 'test', 'setup.py')
+    code, errors = main.main_with_errors(argv=[
+        '--config', str(ROOT / 'test' / 'flake8.ini'), *(str(ROOT / path) for path in paths)])
     assert code == 0, '\n'.join(errors)

@@ -25,7 +25,7 @@ _SMALL_ANGLE = 1e-2
 
 
 def skew(vectors: ArrayLike) -> FloatArray:
-    """Return the (..., 3, 3) matrices with ``skew(v) @ w == cross(v, w)`` of (..., 3) vectors."""
+    """Return the (..., 3, 3) matrices whose product with w is the cross product of v and w."""
     v = np.asarray(vectors, dtype=np.float64)
     result = np.zeros((*v.shape, 3))
     result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
