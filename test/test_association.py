@@ -128,8 +128,8 @@ def test_no_overlap_names_the_ends_and_the_offset():
     later = Trajectory(b.stamps_ns + 3_600_000 * MS, b.poses, 'w', 'camera')
     with pytest.raises(AssociationError) as error:
         calibrate(a, later)
-    assert 'no overlap in time: lidar ends at 1700000009.900 s, camera starts at ' \
-        '1700003600.000 s' in str(error.value)
+    ends = 'lidar ends at 1700000009.900 s, camera starts at 1700003600.000 s'
+    assert f'no overlap in time: {ends}' in str(error.value)
     assert 'set time_offset to about -3600.000' in str(error.value)
     result = calibrate(a, later, CalibrationConfig(solver='dnl', time_offset=-3600.0))
     assert result.poses == 100

@@ -66,7 +66,7 @@ def test_rounding_is_removed_without_a_word_and_more_with_one(poses):
     (lambda t, T: (t, T[:, :3]), r'shape \(10, 3, 4\)'),
     (lambda t, T: (t[:1], T[:1]), 'needed at least 2'),
     (lambda t, T: (t[:0], T[:0]), 'needed at least 2'),
-    (lambda t, T: (np.full(10, 5), T), '1 pose with a stamp of its own, needed at least 2'),
+    (lambda t, T: (np.full_like(t, 5), T), '1 pose with a stamp of its own, needed at least 2'),
 ])
 def test_refuses_wrong_shapes(poses, spoil, message):
     with pytest.raises(TrajectoryError, match=message):
