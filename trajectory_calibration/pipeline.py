@@ -10,6 +10,7 @@ from trajectory_calibration.observability import observe
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.uncertainty import estimate_uncertainty
 
 # Beyond this share of poses of b without a partner, the result warns: too much was not used.
 _UNPAIRED_SHARE = 0.1
@@ -55,13 +56,14 @@ def calibrate(
     )
     motions = select_motions(pairs, config.reference)
     solution = solve(motions, config)
+    uncertainty = estimate_uncertainty(solution, motions)
     metrics = relative_errors(solution.T_a_b, motions)
     observability = observe(motions)
     return CalibrationResult(
         frame_a=trajectory_a.sensor_frame,
         frame_b=trajectory_b.sensor_frame,
         T_a_b=solution.T_a_b,
-        covariance=solution.covariance,
+        covariance=None if uncertainty is None else uncertainty.covariance,
         metrics=metrics,
         poses=len(pairs),
         motions=len(motions),

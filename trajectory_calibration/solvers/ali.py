@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
 _TRANSLATION = slice(9, 12)
@@ -28,4 +28,5 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     quadratic.require_translation(G, len(motions))
     minimum = quadratic.minimise(G)
     T_a_b = quadratic.polish(minimum.T_a_b, motions, _TRANSLATION)
-    return Solution(T_a_b, minimum.cost, minimum.iterations)
+    return Solution(
+        T_a_b, minimum.cost, minimum.iterations, linearise=linear.translation_only)

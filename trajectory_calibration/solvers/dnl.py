@@ -22,7 +22,7 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
 # Quiet, and tight: one iteration costs microseconds, digits are worth more.
@@ -52,7 +52,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     # The cost is not convex in the rotation: Ipopt starts where a search over all of SO(3) ends.
     start = quadratic.minimise(G).T_a_b
     T_a_b, cost, iterations = minimise_with_ipopt(G, start)
-    return Solution(quadratic.polish(T_a_b, motions), cost, iterations)
+    return Solution(quadratic.polish(T_a_b, motions), cost, iterations,
+                    linearise=linear.frobenius)
 
 
 def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, float, int]:

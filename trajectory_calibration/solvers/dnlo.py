@@ -34,7 +34,7 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers import quadratic
+from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.dnl import symbolic_monomials
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
@@ -104,7 +104,7 @@ def _finish(
     quadratic.require_rotation(G, T_a_b)
     return Solution(
         quadratic.polish(T_a_b, motions, weights=weights), float(best.cost[0]), steps,
-        inliers=weights > 0.5)
+        inliers=weights > 0.5, linearise=linear.frobenius)
 
 
 def _clearly_lower(first: Candidates, second: Candidates) -> Candidates:

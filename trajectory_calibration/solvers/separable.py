@@ -8,6 +8,7 @@ from trajectory_calibration import se3
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Solution
 
 # The second largest singular value of the aligned rotation vectors, relative to the largest,
@@ -22,7 +23,8 @@ def solve_separable(motions: MotionPairs) -> Solution:
     """
     R_a_b = align_rotation_vectors(motions)
     t, cost = solve_translation(R_a_b, motions)
-    return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1)
+    return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
+                    linearise=linear.separable)
 
 
 def align_rotation_vectors(motions: MotionPairs) -> FloatArray:

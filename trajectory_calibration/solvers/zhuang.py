@@ -20,6 +20,8 @@ that z is small; the minimum then belongs to those coordinates.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from trajectory_calibration import se3
@@ -27,8 +29,9 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.separable import solve_separable
-from trajectory_calibration.solvers.solution import Solution
+from trajectory_calibration.solvers.solution import Equations, Solution
 
 # Rotation between the sensors from which the coordinates are turned (radians).
 _NEAR_HALF_TURN = np.deg2rad(179.9)
@@ -69,7 +72,42 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
             ', where its parameter grows and magnifies noise' + (
                 ' without bound; solved in turned coordinates' if turned else '')
             + '; prefer dnl or dnlo',)
-    return Solution(T_a_b, cost, iterations, warnings=warnings)
+    return Solution(T_a_b, cost, iterations, linearise=partial(linearise, R_turn),
+                    warnings=warnings)
+
+
+def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
+    """Return the equations, as ``solution.Linearise``, with b turned by R_turn.
+
+    With ``R = (I - [z])^-1 (I + [z])`` both residuals are ``(I - [z])`` times a plain difference:
+    f of the axes, g of the translation.
+    """
+    equations = linear.translation_only(T_a_b, A, C)
+    rotation, translation = linear.ROTATION, linear.TRANSLATION
+    phi_a, phi_c = se3.log_so3(A[:, :3, :3]), se3.log_so3(C[:, :3, :3])
+    angle_a = np.linalg.norm(phi_a, axis=1, keepdims=True)
+    angle_c = np.linalg.norm(phi_c, axis=1, keepdims=True)
+    turns = (np.minimum(angle_a, angle_c) > _NO_AXIS).astype(np.float64)
+    k_a = turns * phi_a / np.maximum(angle_a, _NO_AXIS)
+    k_c = turns * phi_c / np.maximum(angle_c, _NO_AXIS)
+    equations.residual[:, rotation] = k_a - k_c
+    equations.jacobian[:, rotation, 3:] = se3.skew(k_c)
+    across = (np.eye(3) - k_c[:, :, None] * k_c[:, None, :]) / np.maximum(
+        angle_c, _NO_AXIS)[:, :, None]
+    equations.disturbance[:, rotation, 3:] = -turns[:, :, None] * across @ np.swapaxes(
+        se3.left_jacobian_so3_inverse(phi_c), 1, 2)
+    z = _to_z(T_a_b[:3, :3] @ R_turn.T)
+    W = np.eye(3) - se3.skew(z)
+    by_theta = 0.5 * (W + np.outer(z, z))
+    jacobian, residual = np.empty_like(equations.jacobian), np.empty_like(equations.residual)
+    disturbance = np.empty_like(equations.disturbance)
+    for rows in (rotation, translation):
+        plain = equations.residual[:, rows]
+        residual[:, rows] = plain @ W.T
+        jacobian[:, rows] = W @ equations.jacobian[:, rows]
+        jacobian[:, rows, 3:] += se3.skew(plain) @ by_theta
+        disturbance[:, rows] = W @ equations.disturbance[:, rows]
+    return Equations(residual, jacobian, jacobian, disturbance)
 
 
 def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:

@@ -1,0 +1,67 @@
+"""First derivatives of the solvers' residuals, motion by motion, in the axes of sensor a.
+
+With ``C = X B X^-1``, the motion of b as sensor a would see it, every solver compares A with C,
+and all of its equations can be written in sensor a's axes. Near the answer the twelve entries of
+``A X - X B`` and the six numbers used here have the same sum of squares to second order, and so
+the same estimating equations, at a fraction of the cost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.solution import Equations
+
+ROTATION, TRANSLATION = slice(0, 3), slice(3, 6)
+_IDENTITY = np.eye(3)
+
+
+def frobenius(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
+    """Return the equations of ``sum |A X - X B|^2``.
+
+    The nine rotation entries of a residual rotation of angle w have the norm
+    ``sqrt(8) sin(w / 2)``, which is sqrt(2) times the length of its rotation vector.
+    """
+    equations = translation_only(T_a_b, A, C)
+    R_At = np.swapaxes(A[:, :3, :3], 1, 2)
+    root = np.sqrt(2.0)
+    equations.residual[:, ROTATION] = root * se3.log_so3(R_At @ C[:, :3, :3])
+    equations.jacobian[:, ROTATION, 3:] = root * (R_At - _IDENTITY)
+    equations.disturbance[:, ROTATION, 3:] = root * _IDENTITY
+    return equations
+
+
+def translation_only(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
+    """Return the equations of ``sum |R_A t + t_A - R t_B - t|^2``; the rotation rows are zero."""
+    t = T_a_b[:3, 3]
+    R_C = C[:, :3, :3]
+    D = A[:, :3, :3] - _IDENTITY
+    # R t_B: where b went, in the axes of a.
+    moved = C[:, :3, 3] - t + R_C @ t
+    residual = np.zeros((len(A), 6))
+    jacobian = np.zeros((len(A), 6, 6))
+    disturbance = np.zeros((len(A), 6, 6))
+    residual[:, TRANSLATION] = D @ t + A[:, :3, 3] - moved
+    jacobian[:, TRANSLATION, :3] = D
+    jacobian[:, TRANSLATION, 3:] = se3.skew(moved)
+    disturbance[:, TRANSLATION, :3] = -R_C
+    disturbance[:, TRANSLATION, 3:] = R_C @ se3.skew(t)
+    return Equations(residual, jacobian, jacobian, disturbance)
+
+
+def separable(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
+    """Return the equations of ``sum |phi_A - R phi_B|^2``, then of the translation for that R."""
+    equations = translation_only(T_a_b, A, C)
+    phi = se3.log_so3(C[:, :3, :3])
+    equations.residual[:, ROTATION] = se3.log_so3(A[:, :3, :3]) - phi
+    equations.jacobian[:, ROTATION, 3:] = se3.skew(phi)
+    # log(R exp(eta)) = phi + J_r^-1 eta, and J_r is J_l transposed.
+    equations.disturbance[:, ROTATION, 3:] = -np.swapaxes(
+        se3.left_jacobian_so3_inverse(phi), 1, 2)
+    # The rotation is found first: the translation rows have no say in it.
+    instrument = equations.jacobian.copy()
+    instrument[:, TRANSLATION, 3:] = 0.0
+    return Equations(
+        equations.residual, equations.jacobian, instrument, equations.disturbance)
