@@ -209,13 +209,13 @@ class Client:
             parameters=[Parameter(name, value=value).to_parameter_msg()])
         return self.call('set_parameters', SetParameters, request).results[0]
 
-    def latched(self, topic='extrinsic', kind=TransformStamped):
-        """Return a list that receives the messages of a latched topic of the node."""
+    def latched(self, topic='trajectory_calibration/extrinsic', kind=TransformStamped):
+        """Return a list that receives the messages of a latched topic."""
         messages = []
 
         def receive(message):
             messages.append(message)
-        self.node.create_subscription(kind, f'trajectory_calibration/{topic}', receive, LATCHED)
+        self.node.create_subscription(kind, topic, receive, LATCHED)
         return messages
 
     def _on_diagnostics(self, message):
@@ -224,10 +224,10 @@ class Client:
 
 
 @contextmanager
-def running(folder, *arguments):
+def running(folder, *arguments, namespace=None):
     """Yield a node in its own process and a client of it, in a domain of their own."""
     number = next(_numbers)
-    domain, namespace = 1 + number % 101, f'/test_{os.getpid()}_{number}'
+    domain, namespace = 1 + number % 101, namespace or f'/test_{os.getpid()}_{number}'
     previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     client = Client(domain, namespace)

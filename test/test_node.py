@@ -249,12 +249,48 @@ def test_parameters_are_refused_or_taken_at_run_time(tmp_path):
     assert types[0].integer_value == 1 and types[1].string_value == 'B2'
 
 
+def test_results_are_saved_and_restored(tmp_path):
+    folder = tmp_path / 'results'
+    saving = (*TAYLOR, '-p', f'result_directory:={folder}')
+    with ros.running(tmp_path, *saving) as (node, client):
+        too_early = client.call('save')
+        client.publish_drive(*ros.drive())
+        answer = client.call('calibrate')
+        again = client.call('save')
+        node.stop()
+    assert not too_early.success and 'nothing to save' in too_early.message
+    first, second = sorted(folder.iterdir())
+    assert answer.success and answer.message.endswith(f'saved in {first}')
+    assert again.success and again.message == f'saved in {second}'
+    # What a power cut may leave must not keep the vehicle from its last good result.
+    second.write_text(second.read_text()[:100])
+    # Files are named after the node: the same one finds its own.
+    again = ros.running(
+        tmp_path, *saving, '-p', 'restore:=true', namespace=client.namespace)
+    with again as (node, late):
+        extrinsic = late.latched()
+        late.wait(lambda: extrinsic, 'the restored extrinsic')
+        assert f'restored {first}' in node.log
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
+    assert extrinsic[0].child_frame_id == 'camera'
+
+
+def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
+    arguments = ('-p', f'result_directory:={tmp_path}/new/results', '-p', 'restore:=true')
+    with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        assert 'nothing restored: result_directory holds no result yet' in node.log
+
+
 @pytest.mark.parametrize('arguments, sentence', [
     (('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
     (('-p', 'solver:=magic'), "solver 'magic' is unknown"),
     (('-p', 'max_gaps:=1.0'), "parameter 'max_gaps' is unknown"),
     (('-p', 'type_a:=sensor_msgs/msg/Imu'), 'cannot serve as a trajectory'),
     (('-p', 'topic_a:=trajectory_b'), 'topic_a and topic_b are both'),
+    (('-p', 'restore:=true'), 'restore needs result_directory'),
+    (('-p', 'result_directory:=/proc/here'), 'result_directory /proc/here cannot be made'),
     (('-p', 'topic_a:=a//b'), 'is not a name of a topic'),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
 ])

@@ -22,7 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from trajectory_calibration.errors import CalibrationError, ConfigError
+from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.answer import describe
 from trajectory_calibration.ros.conversions import to_pose_with_covariance, to_transform_stamped
@@ -30,6 +30,7 @@ from trajectory_calibration.ros.diagnostics import InputMonitor, key_values, ove
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
+from trajectory_calibration.ros.store import ResultStore
 from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
 from trajectory_calibration.ros.worker import SolverProcess
 
@@ -81,6 +82,11 @@ class CalibrationNode(Node):
         self._solver = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
 
+        self._store = None
+        if values['result_directory']:
+            self._store = ResultStore(
+                values['result_directory'], self.get_fully_qualified_name())
+
         self._extrinsic = self.create_publisher(TransformStamped, '~/extrinsic', _LATCHED)
         self._extrinsic_with_covariance = self.create_publisher(
             PoseWithCovarianceStamped, '~/extrinsic_with_covariance', _LATCHED)
@@ -90,10 +96,13 @@ class CalibrationNode(Node):
         self.create_service(
             Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
         self.create_service(Trigger, '~/reset', self._on_reset, callback_group=group)
+        self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
         # Steady: with use_sim_time the node's own clock stands still until a bag plays.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_S, self._watch_topics, clock=steady)
         self.create_timer(_DIAGNOSTICS_S, self._report, clock=steady)
+        if values['restore']:
+            self._restore()
 
     def shutdown(self) -> None:
         """Stop a running calibration and destroy the node."""
@@ -131,6 +140,40 @@ class CalibrationNode(Node):
         self.get_logger().info(response.message)
         return response
 
+    def _on_save(
+        self, request: Trigger.Request, response: Trigger.Response,
+    ) -> Trigger.Response:
+        del request
+        if self._result is None:
+            response.message = 'nothing to save: no calibration has succeeded yet'
+        elif self._store is None:
+            response.message = 'result_directory is empty; start the node with a folder'
+        else:
+            response.success, response.message = self._save(self._store, self._result)
+        return response
+
+    def _save(self, store: ResultStore, result: CalibrationResult) -> tuple[bool, str]:
+        """Save a result; return whether that succeeded, and a sentence."""
+        try:
+            return True, f'saved in {store.save(result)}'
+        except ResultError as error:
+            self.get_logger().error(str(error))
+            return False, f'not saved: {error}'
+
+    def _restore(self) -> None:
+        """Publish the newest saved result; a vehicle without one starts all the same."""
+        try:
+            found = self._store.latest() if self._store is not None else None
+        except ResultError as error:
+            self.get_logger().error(f'nothing restored: {error}')
+            return
+        if found is None:
+            self.get_logger().warning('nothing restored: result_directory holds no result yet')
+            return
+        path, self._result = found
+        self._publish(self._result)
+        self.get_logger().info(f'restored {path}: {describe(self._result)}')
+
     def _on_solved(self) -> None:
         """Publish what the solver found and answer the call that waits for it."""
         outcome = self._solver.take_outcome()
@@ -141,8 +184,11 @@ class CalibrationNode(Node):
         else:
             self._result, self._last_failure = outcome, ''
             self._publish(outcome)
-            answer = True, describe(outcome)
-            self.get_logger().info(answer[1])
+            text = describe(outcome)
+            if self._store is not None:
+                text = f'{text}; {self._save(self._store, outcome)[1]}'
+            answer = True, text
+            self.get_logger().info(text)
         if self._answer is not None:
             self._answer.set_result(answer)
 

@@ -50,6 +50,12 @@ FRAME_OPTIONS = (
     Option('frame_a', str, '', 'name of the frame of sensor a; empty: from the messages'),
     Option('frame_b', str, '', 'name of the frame of sensor b; empty: from the messages'),
 )
+RESULT_OPTIONS = (
+    Option('result_directory', str, '',
+           'folder in which every result is saved; empty: none is'),
+    Option('restore', bool, default=False,
+           help='publish the newest result in result_directory when the node starts'),
+)
 ANSWER_OPTIONS = (
     Option('calibration_timeout', float, 120.0,
            'time after which a calibration is given up, seconds', minimum=0.1, maximum=86400.0),
@@ -60,6 +66,7 @@ CONFIG_OPTIONS = tuple(CalibrationConfig.options())
 _GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
     ('Inputs', TOPIC_OPTIONS, False),
     ('What is kept', BUFFER_OPTIONS, False),
+    ('Saved results', RESULT_OPTIONS, False),
     ('Names of the sensors', FRAME_OPTIONS, True),
     ('The answer', ANSWER_OPTIONS, True),
     ('The calibration', CONFIG_OPTIONS, True),
@@ -87,6 +94,8 @@ def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
     find_type(checked['type_a'])
     find_type(checked['type_b'])
     to_config(checked)
+    if checked['restore'] and not checked['result_directory']:
+        raise ConfigError('restore needs result_directory: the folder with the saved results')
     return checked
 
 

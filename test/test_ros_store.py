@@ -1,0 +1,99 @@
+"""Saved results survive whatever happens to the process. Needs no ROS."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import (
+    calibrate,
+    CalibrationConfig,
+    ConfigError,
+    ResultError,
+    se3,
+    Trajectory,
+)
+from trajectory_calibration.ros.store import ResultStore
+
+
+@pytest.fixture(scope='module')
+def result():
+    rng = np.random.default_rng(0)
+    steps = se3.exp_se3(rng.normal(size=(40, 6)) * 0.2)
+    poses = np.array([np.linalg.multi_dot([np.eye(4), np.eye(4), *steps[:k]])
+                      for k in range(40)])
+    stamps_ns = np.arange(40) * 100_000_000
+    moved = poses @ se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
+    return calibrate(Trajectory(stamps_ns, poses), Trajectory(stamps_ns, moved),
+                     CalibrationConfig(solver='taylor'))
+
+
+def test_every_result_gets_a_file_of_its_own_and_the_newest_is_found(tmp_path, result):
+    store = ResultStore(str(tmp_path / 'a' / 'b'), '/front/trajectory_calibration')
+    assert store.latest() is None
+    paths = [store.save(result) for _ in range(3)]
+    assert [path.name for path in paths] == [
+        f'front_trajectory_calibration_{k:06d}.yaml' for k in (1, 2, 3)]
+    path, loaded = store.latest()
+    assert path == paths[-1]
+    assert np.allclose(loaded.T_a_b, result.T_a_b, atol=1e-15)
+
+
+def test_nodes_that_share_a_folder_do_not_mix_their_results(tmp_path, result):
+    ResultStore(str(tmp_path), '/front/node').save(result)
+    assert ResultStore(str(tmp_path), '/rear/node').latest() is None
+
+
+def test_damaged_files_are_passed_over(tmp_path, result):
+    store = ResultStore(str(tmp_path), '/node')
+    good, bad = store.save(result), store.save(result)
+    bad.write_text('translation: [')
+    assert store.latest()[0] == good
+    good.unlink()
+    with pytest.raises(ResultError, match='cannot be read'):
+        store.latest()
+
+
+def test_a_name_cannot_leave_the_folder(tmp_path, result):
+    path = ResultStore(str(tmp_path), '/../../etc/passwd').save(result)
+    assert path.parent == tmp_path
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason='root may write anywhere')
+def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(ConfigError, match='cannot be written to'):
+        ResultStore(str(tmp_path), '/node')
+
+
+def test_a_kill_while_saving_leaves_every_earlier_result_whole(tmp_path, result):
+    code = (
+        'import sys\n'
+        'from trajectory_calibration import CalibrationResult\n'
+        'from trajectory_calibration.ros.store import ResultStore\n'
+        'result = CalibrationResult.load(sys.argv[1])\n'
+        'store = ResultStore(sys.argv[2], "/node")\n'
+        'while True:\n'
+        '    store.save(result)\n')
+    seed = tmp_path / 'seed.yaml'
+    result.save(seed)
+    folder = tmp_path / 'results'
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        before = len(list(folder.glob('node_*.yaml'))) if folder.exists() else 0
+        process = subprocess.Popen([sys.executable, '-c', code, str(seed), str(folder)])
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and (
+                not folder.exists() or len(list(folder.glob('node_*.yaml'))) <= before):
+            time.sleep(0.005)
+        # Somewhere inside one of the next saves.
+        time.sleep(rng.uniform(0, 0.05))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        files = sorted(folder.glob('node_*.yaml'))
+        assert len(files) > before
+        assert ResultStore(str(folder), '/node').latest()[0] == files[-1]

@@ -1,0 +1,89 @@
+"""Results on disk: one file for each, numbered, never overwritten. Nothing here imports ROS."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+import re
+
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.result import CalibrationResult
+
+
+class ResultStore:
+    """The results of one node in a folder.
+
+    Files are named after the node and a running number: no name comes from a message, and no
+    order depends on a clock that a vehicle may set after it has started.
+
+    Parameters
+    ----------
+    folder : str
+        Made where it does not exist; ``~`` is the home.
+    node_name : str
+        Full name of the node; two nodes may share a folder.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be made or written to.
+
+    """
+
+    def __init__(self, folder: str, node_name: str) -> None:
+        self._folder = Path(folder).expanduser().absolute()
+        self._prefix = re.sub(r'\W+', '_', node_name.strip('/'))
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f'result_directory {self._folder} cannot be made: {error.strerror}') from error
+        if not os.access(self._folder, os.W_OK | os.X_OK):
+            raise ConfigError(
+                f'result_directory {self._folder} cannot be written to; correct its owner or its '
+                'permissions')
+
+    def save(self, result: CalibrationResult) -> Path:
+        """Write a result, whole or not at all, and return its file.
+
+        Raises
+        ------
+        ResultError
+            The file cannot be written; the earlier ones are as they were.
+
+        """
+        numbers = [number for number, _ in self._files()]
+        path = self._folder / f'{self._prefix}_{max(numbers, default=0) + 1:06d}.yaml'
+        result.save(path)
+        return path
+
+    def latest(self) -> tuple[Path, CalibrationResult] | None:
+        """Return the newest result that can be read, with its file; None where there is none.
+
+        Raises
+        ------
+        ResultError
+            There are files, and none can be read.
+
+        """
+        failures = []
+        for _, path in sorted(self._files(), reverse=True):
+            loaded = _load(path)
+            if isinstance(loaded, CalibrationResult):
+                return path, loaded
+            failures.append(loaded)
+        if failures:
+            raise failures[0]
+        return None
+
+    def _files(self) -> list[tuple[int, Path]]:
+        pattern = re.compile(rf'{re.escape(self._prefix)}_(\d+)\.yaml')
+        found = ((pattern.fullmatch(path.name), path) for path in self._folder.iterdir())
+        return [(int(match[1]), path) for match, path in found if match]
+
+
+def _load(path: Path) -> CalibrationResult | ResultError:
+    try:
+        return CalibrationResult.load(path)
+    except ResultError as error:
+        return error
