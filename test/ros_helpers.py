@@ -29,6 +29,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -36,8 +37,8 @@ from trajectory_calibration import se3
 
 __all__ = [
     'Client', 'DescribeParameters', 'GetParameters', 'ListParameters', 'NodeProcess', 'Parameter',
-    'SetParameters', 'drive', 'matrix', 'parameter_value_to_python', 'running', 'to_message',
-    'to_path',
+    'SetParameters', 'drive', 'matrix', 'parameter_value_to_python', 'running',
+    'serialize_message', 'to_message', 'to_path',
 ]
 
 LIMIT_S = 30.0

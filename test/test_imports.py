@@ -28,7 +28,8 @@ FLOW = (
     ('pipeline',),
     ('__init__',),
     ('report',),
-    ('cli', 'ros'),
+    ('ros',),
+    ('cli',),
     ('__main__',),
 )
 ROS = {'builtin_interfaces', 'rcl_interfaces', 'rclpy', 'std_srvs', 'tf2_ros'}

@@ -16,6 +16,7 @@ from trajectory_calibration.sources.cdr import (
     PathPoses,
     StampedPose,
 )
+from trajectory_calibration.sources.topics import TopicTrack
 
 
 class General(Protocol):
@@ -64,3 +65,18 @@ class PoseFeed:
             self._buffer.count_unreadable()
             return
         self._buffer.replace(path.stamps_ns, path.poses, (path.frame, ''))
+
+
+def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:
+    """Put what a bag holds of a topic into a buffer, message by message as the node would."""
+    for _ in range(track.unreadable):
+        buffer.count_unreadable()
+    if track.msgtype == PATH:
+        # Each path replaces the one before; the track is the last one.
+        frames = track.frames[0] if track.frames else ('', '')
+        buffer.replace(track.stamps_ns, track.poses, frames)
+        return
+    frames_of_messages = [track.frames[k] for k in track.frame_index.tolist()]
+    for sample in zip(track.stamps_ns.tolist(), frames_of_messages,
+                      map(tuple, track.poses.tolist()), strict=True):
+        buffer.append(*sample)

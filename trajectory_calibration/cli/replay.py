@@ -1,0 +1,102 @@
+"""``trajectory_calibration replay``: a bag through the node's code, without the node."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import json
+from pathlib import Path
+from typing import Any
+
+from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.errors import ConfigError, TopicError
+from trajectory_calibration.report.text import to_yaml
+
+_NODE_NAME = 'trajectory_calibration'
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'replay', help="give a bag to the node's buffers and calibrate as the node would",
+        description="Feed a bag to the node's buffers at full speed and print the answer that "
+        'the node gives after it received the same messages.')
+    parser.add_argument(
+        'bag', nargs='+', type=Path, metavar='BAG', help='bag with the two topics')
+    parser.add_argument(
+        '--params-file', action='append', type=Path, default=[], metavar='FILE',
+        help="the node's parameter file")
+    parser.add_argument(
+        '-p', '--param', action='append', default=[], metavar='NAME:=VALUE',
+        help="one of the node's parameters, as ROS takes it: -p topic_a:=/lidar/odometry")
+    parser.add_argument(
+        '--format', choices=('text', 'json', 'yaml'), default='text',
+        help="of the output; text is the node's answer")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, calibrate and print the answer."""
+    # rosbags and the YAML library load where they are used, and only there.
+    from trajectory_calibration.ros.answer import describe
+    from trajectory_calibration.ros.feed import feed_track
+    from trajectory_calibration.ros.options import check_values, find_type, to_config, to_limits
+    from trajectory_calibration.ros.session import CalibrationSession
+    from trajectory_calibration.sources.bags import open_bags
+    values = check_values(_read_parameters(arguments.params_file, arguments.param))
+    topic_a, topic_b = (f'/{values[name].lstrip("/")}' for name in ('topic_a', 'topic_b'))
+    with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
+        tracks = reader.read([topic_a, topic_b], progress)
+    session = CalibrationSession(topic_a, topic_b, to_limits(values))
+    for topic, name, buffer in ((topic_a, 'type_a', session.buffer_a),
+                                (topic_b, 'type_b', session.buffer_b)):
+        wanted = find_type(values[name])
+        if wanted not in (None, tracks[topic].msgtype):
+            raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
+                             'correct it or set auto')
+        feed_track(tracks[topic], buffer)
+    result = session.job(to_config(values), values['frame_a'], values['frame_b']).run()
+    if arguments.format == 'json':
+        print(json.dumps(result.to_dict()))
+    elif arguments.format == 'yaml':
+        print(to_yaml(result.to_dict()), end='')
+    else:
+        print(describe(result))
+    return 0
+
+
+def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters of files, overridden by assignments, unchecked."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+    yaml = YAML(typ='safe', pure=True)
+    values: dict[str, Any] = {}
+    for path in files:
+        try:
+            document = yaml.load(path.read_text(encoding='utf-8'))
+        except (OSError, UnicodeDecodeError, YAMLError) as error:
+            raise ConfigError(f'{path} cannot be read as parameters: {error}') from error
+        values.update(_of_the_node(document, path))
+    for assignment in assignments:
+        name, separator, text = assignment.partition(':=')
+        if not separator:
+            raise ConfigError(f'-p {assignment!r} is no parameter; needed NAME:=VALUE')
+        try:
+            values[name] = yaml.load(text)
+        except YAMLError as error:
+            raise ConfigError(f'-p {assignment!r} cannot be read: {error}') from error
+    return values
+
+
+def _of_the_node(document: Any, path: Path) -> dict[str, Any]:
+    """Return the parameters for any node, then those under the node's own name."""
+    values: dict[str, Any] = {}
+    try:
+        for key in sorted(document, key=lambda key: key != '/**'):
+            if key == '/**' or key.rpartition('/')[2] == _NODE_NAME:
+                values.update(document[key]['ros__parameters'])
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(
+            f'{path} holds no parameters of {_NODE_NAME}; needed them under '
+            '"/**:" and "ros__parameters:" as in config/calibration.yaml') from error
+    return values
