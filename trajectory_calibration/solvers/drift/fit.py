@@ -28,7 +28,7 @@ from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise
 
 # The largest change of a log variance in one step, up and down.
 _LARGEST_RISE, _LARGEST_FALL = 1.5, 2.5
-# A variance whose score is below this no longer matters to the likelihood.
+# A variance whose score is below this hardly acts.
 _SMALL_SCORE = 0.1
 # Converged: parameters move by less than this share of their standard deviation, and the
 # objective by less than this: far below what the data can tell apart.
@@ -155,11 +155,12 @@ def _scale_bias(evaluation: Evaluation, scale: float) -> float:
 
 def variance_step(evaluation: Evaluation) -> FloatArray:
     """Return the (6,) step of the log variances, downhill on the restricted likelihood."""
-    eigenvalues, axes = np.linalg.eigh(evaluation.score_information)
+    score, information = evaluation.score, evaluation.score_information
+    eigenvalues, axes = np.linalg.eigh(information)
     curvature = np.maximum(eigenvalues, 1e-8 * eigenvalues[-1] + 1e-3)
-    step = -0.5 * axes @ (axes.T @ evaluation.score / curvature)
-    # Where the score has all but vanished, the curvature has too; do not leap up.
-    return np.where(np.abs(evaluation.score) < _SMALL_SCORE, np.minimum(step, 0.0), step)
+    step: FloatArray = -0.5 * axes @ (axes.T @ score / curvature)
+    # Where a variance hardly acts, slope and curvature vanish together: do not leap.
+    return np.where(np.abs(score) < _SMALL_SCORE, np.minimum(step, 0.0), step)
 
 
 class VarianceTrust:

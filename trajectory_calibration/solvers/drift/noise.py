@@ -31,6 +31,8 @@ WHITE = 2
 _SMALLEST = 1e-8
 # White and walk are kept within this ratio of variances, which keeps the equations solvable.
 _LARGEST_RATIO = 1e8
+# ... and within this one where all of them shall act.
+_REVIVED = 0.03
 # A jump has at least this many times the variance of the median step.
 _JUMP_RATIO = 30.0
 # ... and this many times that of the white noise of a pose: less does not stand out.
@@ -152,13 +154,25 @@ class Noise:
             self, jump_probability=gamma, jump_variance=np.maximum(found, floor),
             jump_share=(count + _PRIOR_JUMPS) / (len(gamma) + _PRIOR_STEPS))
 
+    def revived(self) -> Noise:
+        """Return the noise with every variance large enough to act.
+
+        A variance that has vanished beside another one cannot tell any more whether it would be
+        needed: after a change of the model all of them get a new chance.
+        """
+        return self._raised(np.log(_REVIVED))
+
     def with_log_variances(self, log_variances: FloatArray) -> Noise:
         """Return the noise with new log variances, kept where the equations can be solved."""
+        return replace(self, log_variances=log_variances)._raised(-np.log(_LARGEST_RATIO))
+
+    def _raised(self, log_share: float) -> Noise:
+        """Return the noise, no variance of a typical step below a share of the largest."""
         typical = np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
                             np.mean(self.profiles[1]) * np.ones(2)])
         # Of one typical step; rows: white, by length, by angle.
-        step = np.asarray(log_variances).reshape(3, 2) + np.log(typical)
-        lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) - np.log(_LARGEST_RATIO))
+        step = self.log_variances.reshape(3, 2) + np.log(typical)
+        lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) + log_share)
         step = np.maximum(step, lowest)
         return replace(self, log_variances=(step - np.log(typical)).ravel())
 

@@ -70,7 +70,7 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     else:
         chain = Chain.from_pairs(pairs)
         state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
-        best = fit(chain, state, best.noise.carried_to(chain), best.terms)
+        best = fit(chain, state, best.noise.carried_to(chain).revived(), best.terms)
         best = _revise(best, optional)
     return best
 
@@ -128,7 +128,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
             terms = (*best.terms, name)
             try:
                 candidate = fit(
-                    best.chain, best.state, best.noise, terms, tolerance=_ROUGH)
+                    best.chain, best.state, best.noise.revived(), terms, tolerance=_ROUGH)
             except SolverError:
                 # A term that the motion cannot tell from another one is not supported by it.
                 continue
@@ -166,7 +166,7 @@ def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
         state = replace(state, systematic_drift=np.zeros(3))
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
-    return fit(best.chain, state, best.noise, terms)
+    return fit(best.chain, state, best.noise.revived(), terms)
 
 
 def _excluded(name: str, terms: tuple[str, ...]) -> bool:
