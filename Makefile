@@ -1,7 +1,7 @@
 # Everything a fresh clone needs is Python 3.10 to 3.13 with venv, and make.
 #
 #   make demo    simulate a drive, calibrate it online and offline, compare with the truth
-#   make test    every check: tests on the oldest and the newest dependencies, style, types
+#   make test    every check: the oldest dependencies, style, types, the demo, all tests
 #   make unit    only the tests on the newest
 #   make lint    only style and types
 #   make clean   remove what these made
@@ -11,6 +11,7 @@
 
 SHELL := /bin/bash -o pipefail
 .DELETE_ON_ERROR:
+.NOTPARALLEL:
 .PHONY: demo test unit lint oldest clean
 
 VENV := .venv
@@ -39,7 +40,7 @@ endif
 demo: $(VENV)/installed
 	@$(BIN)/python demo/demo.py
 
-test: oldest lint unit
+test: oldest lint demo unit
 
 unit: $(VENV)/installed-for-tests
 	$(BIN)/python -m pytest

@@ -12,6 +12,7 @@ from pathlib import Path
 import time
 
 import numpy as np
+
 from trajectory_calibration import CalibrationConfig, Trajectory
 from trajectory_calibration.association import associate_by_interpolation
 from trajectory_calibration.metrics import absolute_errors

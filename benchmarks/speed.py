@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 import scipy
+
 from trajectory_calibration import CalibrationConfig, se3, Trajectory
 from trajectory_calibration.association import associate_by_interpolation
 from trajectory_calibration.motions import select_motions

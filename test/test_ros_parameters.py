@@ -1,4 +1,4 @@
-"""One truth about the parameters: options, parameter file and node agree. """
+"""One truth about the parameters: options, parameter file and node agree."""
 
 import ast
 import math

@@ -147,4 +147,3 @@ def main() -> int:
     except BrokenPipeError:
         return 1
     return 0
-
