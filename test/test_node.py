@@ -275,6 +275,24 @@ def test_results_are_saved_and_restored(tmp_path):
     assert extrinsic[0].child_frame_id == 'camera'
 
 
+def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'auto_calibrate:=true') as (node, client):
+        extrinsic = client.latched()
+        client.wait(lambda: client.status('calibration') is not None, 'the diagnostics')
+        before = client.value('calibration', 'advice')
+        client.publish_drive(*ros.drive(poses=300))
+        client.wait(lambda: extrinsic, 'the extrinsic')
+        client.wait(lambda: client.status('calibration').message == 'calibrated', 'the status')
+        after = client.value('calibration', 'advice')
+        client.call('reset')
+        client.wait_for_poses(0, 0)
+        assert node.log.count('enough motion') == 1
+    assert before.startswith('drive')
+    assert after == 'enough motion: call ~/calibrate'
+    assert len(extrinsic) == 1
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
+
+
 def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     arguments = ('-p', f'result_directory:={tmp_path}/new/results', '-p', 'restore:=true')
     with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):

@@ -109,6 +109,7 @@ class PoseBuffer:
     clock_jumps : times the clock went back and the buffer started anew.
     refused : count of refused poses for each Refusal.
     frames : of the messages held.
+    generation : changes whenever poses were forgotten other than by age or number.
 
     """
 
@@ -118,6 +119,7 @@ class PoseBuffer:
         self._still_after_ns = round(limits.still_after_s * 1e9)
         self._still_distance_squared = limits.still_distance**2
         self._still_cosine = math.cos(math.radians(limits.still_angle_deg) / 2)
+        self.generation = 0
         self.clear()
 
     def clear(self) -> None:
@@ -142,6 +144,12 @@ class PoseBuffer:
         if not len(self):
             return None
         return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
+
+    def after(self, stamp_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return views of the (K,) stamps after ``stamp_ns`` and of their (K, 7) poses."""
+        held = self._stamps[self._start:self._end]
+        first = self._start + int(np.searchsorted(held, stamp_ns, side='right'))
+        return self._stamps[first:self._end], self._poses[first:self._end]
 
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
@@ -225,6 +233,7 @@ class PoseBuffer:
 
     def _forget_poses(self, frames: Frames = _NO_FRAMES) -> None:
         self.frames = frames
+        self.generation += 1
         self._stamps = np.empty(0, np.int64)
         self._poses = np.empty((0, 7))
         self._start = self._end = 0

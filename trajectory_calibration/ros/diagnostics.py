@@ -5,7 +5,9 @@ from __future__ import annotations
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from trajectory_calibration.ros.buffer import PoseBuffer
+from trajectory_calibration.ros.excitation import Excitation
 from trajectory_calibration.ros.topics import TopicStatus
+from trajectory_calibration.se3 import FloatArray
 
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0
@@ -72,6 +74,20 @@ class InputMonitor:
         if silent > _SILENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
+
+
+def excitation_values(excitation: Excitation) -> dict[str, object]:
+    """Return the motion so far and what it promises, about the axes of sensor a."""
+    return {
+        'motions': excitation.motions,
+        'rotation_deg_per_motion_xyz': _three(excitation.rotation_deg, 2),
+        'predicted_translation_std_m_xyz': _three(excitation.translation_std, 4),
+        'predicted_rotation_std_deg_xyz': _three(excitation.rotation_std_deg, 3),
+    }
+
+
+def _three(values: FloatArray, digits: int) -> str:
+    return ' '.join(f'{value:.{digits}f}' for value in values)
 
 
 def key_values(values: dict[str, object]) -> list[KeyValue]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import signal
 import sys
 import time
@@ -26,7 +26,13 @@ from trajectory_calibration.errors import CalibrationError, ConfigError, ResultE
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.answer import describe
 from trajectory_calibration.ros.conversions import to_pose_with_covariance, to_transform_stamped
-from trajectory_calibration.ros.diagnostics import InputMonitor, key_values, overlap_s
+from trajectory_calibration.ros.diagnostics import (
+    excitation_values,
+    InputMonitor,
+    key_values,
+    overlap_s,
+)
+from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
@@ -40,6 +46,9 @@ NODE_NAME = 'trajectory_calibration'
 _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
+
+# How much more motion there must be before a calibration that failed is tried again unasked.
+_MORE_MOTION = 1.2
 
 _LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE,
@@ -81,6 +90,9 @@ class CalibrationNode(Node):
         self._solved = self.create_guard_condition(self._on_solved)
         self._solver = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
+        self._excitation = ExcitationMonitor()
+        self._calibrated = False
+        self._motions_tried = 0
 
         self._store = None
         if values['result_directory']:
@@ -120,12 +132,14 @@ class CalibrationNode(Node):
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
-        values = self._settings.values()
-        job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
         self._answer = Future()
-        self._solver.start(job, values['calibration_timeout'])
+        self._start_solver(self._settings.values())
         response.success, response.message = await self._answer
         return response
+
+    def _start_solver(self, values: Mapping[str, Any]) -> None:
+        job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
+        self._solver.start(job, values['calibration_timeout'])
 
     def _on_reset(
         self, request: Trigger.Request, response: Trigger.Response,
@@ -134,6 +148,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
         self._solver.cancel('stopped by a reset')
         self._session.reset()
+        self._calibrated, self._motions_tried = False, 0
         response.success = True
         response.message = (
             f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
@@ -182,7 +197,7 @@ class CalibrationNode(Node):
             self.get_logger().warning(self._last_failure)
             answer = False, str(outcome)
         else:
-            self._result, self._last_failure = outcome, ''
+            self._result, self._last_failure, self._calibrated = outcome, '', True
             self._publish(outcome)
             text = describe(outcome)
             if self._store is not None:
@@ -191,6 +206,7 @@ class CalibrationNode(Node):
             self.get_logger().info(text)
         if self._answer is not None:
             self._answer.set_result(answer)
+            self._answer = None
 
     def _publish(self, result: CalibrationResult) -> None:
         stamp = self.get_clock().now().to_msg()
@@ -204,10 +220,16 @@ class CalibrationNode(Node):
         statuses = [
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
-        statuses.append(self._calibration_status())
+        values = self._settings.values()
+        excitation = self._excitation.update(
+            self._session.buffer_a, self._session.buffer_b,
+            round(values['time_offset'] * 1e9), round(values['max_gap'] * 1e9))
+        statuses.append(self._calibration_status(values, excitation))
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
+        if values['auto_calibrate']:
+            self._calibrate_when_ready(values, excitation)
         if now_s - self._refusals_logged_s >= _REFUSAL_LOG_S:
             for monitor in self._monitors:
                 refusals = monitor.new_refusals()
@@ -215,8 +237,25 @@ class CalibrationNode(Node):
                     self._refusals_logged_s = now_s
                     self.get_logger().warning(f'{monitor.name}: {refusals}')
 
-    def _calibration_status(self) -> DiagnosticStatus:
+    def _calibrate_when_ready(
+        self, values: Mapping[str, Any], excitation: Excitation,
+    ) -> None:
+        """Calibrate once since the start or the last reset; after a failure, with more motion."""
+        limits = values['target_translation_std'], values['target_rotation_std']
+        if (not self._solver.busy and not self._calibrated
+                and excitation.motions > _MORE_MOTION * self._motions_tried
+                and excitation.sufficient(*limits)):
+            self._motions_tried = excitation.motions
+            self.get_logger().info(f'enough motion ({excitation.motions} s): calibrating')
+            self._start_solver(values)
+
+    def _calibration_status(
+        self, values: Mapping[str, Any], excitation: Excitation,
+    ) -> DiagnosticStatus:
         session, result = self._session, self._result
+        advice = excitation.advice(
+            values['frame_a'] or session.buffer_a.frames[1] or 'sensor a',
+            values['target_translation_std'], values['target_rotation_std'])
         status = DiagnosticStatus(
             name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
         if self._solver.busy:
@@ -226,14 +265,15 @@ class CalibrationNode(Node):
         elif result is not None:
             status.message = 'calibrated'
         else:
-            status.message = 'collecting; call ~/calibrate when the vehicle has turned enough'
-        overlap = overlap_s(
-            session.buffer_a, session.buffer_b, self._settings['time_offset'])
-        values: dict[str, object] = {
-            'solver': self._settings['solver'], 'overlap_s': f'{overlap:.3f}'}
-        if result is not None:
-            values['extrinsic'] = describe(result)
-        status.values = key_values(values)
+            status.message = advice
+        overlap = overlap_s(session.buffer_a, session.buffer_b, values['time_offset'])
+        status.values = key_values({
+            'solver': values['solver'],
+            'overlap_s': f'{overlap:.3f}',
+            'advice': advice,
+            **excitation_values(excitation),
+            **({} if result is None else {'extrinsic': describe(result)}),
+        })
         return status
 
 

@@ -60,6 +60,16 @@ ANSWER_OPTIONS = (
     Option('calibration_timeout', float, 120.0,
            'time after which a calibration is given up, seconds', minimum=0.1, maximum=86400.0),
 )
+ADVICE_OPTIONS = (
+    Option('target_translation_std', float, 0.02,
+           'standard deviation of the translation that is wanted, metres',
+           minimum=1e-6, maximum=1000.0),
+    Option('target_rotation_std', float, 0.2,
+           'standard deviation of the rotation that is wanted, degrees',
+           minimum=1e-6, maximum=180.0),
+    Option('auto_calibrate', bool, default=False,
+           help='calibrate once when the motion so far promises both'),
+)
 CONFIG_OPTIONS = tuple(CalibrationConfig.options())
 
 # Title, options, whether a running node takes a new value.
@@ -69,6 +79,7 @@ _GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
     ('Saved results', RESULT_OPTIONS, False),
     ('Names of the sensors', FRAME_OPTIONS, True),
     ('The answer', ANSWER_OPTIONS, True),
+    ('When the motion is enough', ADVICE_OPTIONS, True),
     ('The calibration', CONFIG_OPTIONS, True),
 )
 OPTIONS = {option.name: option for _, options, _ in _GROUPS for option in options}
