@@ -32,7 +32,7 @@ _LARGEST_RISE, _LARGEST_FALL = 1.5, 2.5
 _SMALL_SCORE = 0.1
 # Converged: parameters move by less than this share of their standard deviation, and the
 # objective by less than this: far below what the data can tell apart.
-SMALL_STEP, SMALL_GAIN = 0.03, 0.3
+SMALL_STEP, SMALL_GAIN = 0.06, 0.5
 # The largest step of a global term in one iteration (one, metres a metre, seconds).
 _LARGEST_TERM_STEP = {'scale': 0.2, 'systematic_drift': 0.05, 'time_offset': 0.05}
 # A drift of this much per metre is no drift: the model's step has no length.

@@ -39,6 +39,8 @@ _JUMP_RATIO = 30.0
 _JUMP_TO_WHITE = 8.0
 # Before the data speak: one step in fifty is a jump, an opinion worth this many steps.
 _PRIOR_JUMPS, _PRIOR_STEPS = 0.2, 20.0
+# Rounds of expectation and maximisation of the jumps in each iteration.
+_ROUNDS = 3
 # The median of chi-squared with three degrees of freedom.
 _CHI2_MEDIAN = 2.366
 
@@ -78,14 +80,16 @@ class Noise:
                    np.maximum(largest, _JUMP_RATIO * scale), np.full(2, 0.02))
 
     def carried_to(self, chain: Chain) -> Noise:
-        """Return the same variances for another chain, the jumps not yet located."""
+        """Return the same variances for a finer chain, the jumps not yet located."""
         profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
-        probability = np.broadcast_to(self.jump_share, (profiles.shape[1], 2)).copy()
-        return replace(self, profiles=profiles, jump_probability=probability)
+        share = self.jump_share * len(self.jump_probability) / profiles.shape[1]
+        probability = np.broadcast_to(share, (profiles.shape[1], 2)).copy()
+        return replace(
+            self, profiles=profiles, jump_probability=probability, jump_share=share)
 
     @property
     def variances(self) -> FloatArray:
-        """The (6,) variances."""
+        """Return the (6,) variances."""
         return np.exp(self.log_variances)
 
     def white_parts(self, T_a_b: FloatArray) -> FloatArray:
@@ -138,21 +142,23 @@ class Noise:
         narrow = self.walk_parts().sum(axis=0)
         assumed = 1 / self.walk_precision(narrow)
         share = 1 - np.minimum(spread / 3 / assumed, 1 - 1e-9)
-        variance = (assumed * (1 - share)) / share
+        variance = assumed * (1 - share) / share
         mean_square = squares / share**2
-        wide = variance + narrow + self.jump_variance
-        narrow = variance + narrow
-        log_odds = (1.5 * np.log(narrow / wide) - 0.5 * mean_square * (1 / wide - 1 / narrow)
-                    + np.log(self.jump_share / (1 - self.jump_share)))
-        gamma = 1 / (1 + np.exp(-np.clip(log_odds, -50, 50)))
-        count = gamma.sum(axis=0)
-        found = (gamma * (squares + spread)).sum(axis=0) / np.maximum(3 * count, 1e-12)
-        floor = np.maximum(
-            _JUMP_RATIO * np.median(self.walk_parts().sum(axis=0), axis=0),
-            _JUMP_TO_WHITE * self.variances[:WHITE])
-        return replace(
-            self, jump_probability=gamma, jump_variance=np.maximum(found, floor),
-            jump_share=(count + _PRIOR_JUMPS) / (len(gamma) + _PRIOR_STEPS))
+        floor = np.maximum(_JUMP_RATIO * np.median(narrow, axis=0),
+                           _JUMP_TO_WHITE * self.variances[:WHITE])
+        jump_variance, jump_share = np.maximum(self.jump_variance, floor), self.jump_share
+        # What the others say stays; how common and how large jumps are follows in a few rounds.
+        for _ in range(_ROUNDS):
+            small, large = variance + narrow, variance + narrow + jump_variance
+            log_odds = (1.5 * np.log(small / large) - 0.5 * mean_square * (1 / large - 1 / small)
+                        + np.log(jump_share / (1 - jump_share)))
+            gamma = 1 / (1 + np.exp(-np.clip(log_odds, -50, 50)))
+            count = gamma.sum(axis=0)
+            found = (gamma * (squares + spread)).sum(axis=0) / np.maximum(3 * count, 1e-12)
+            jump_variance = np.maximum(found, floor)
+            jump_share = (count + _PRIOR_JUMPS) / (len(gamma) + _PRIOR_STEPS)
+        return replace(self, jump_probability=gamma, jump_variance=jump_variance,
+                       jump_share=jump_share)
 
     def revived(self) -> Noise:
         """Return the noise with every variance large enough to act.

@@ -21,13 +21,16 @@ from trajectory_calibration.solvers.drift.likelihood import evaluate
 from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
 
 # Poses of the thinned chain.
-COARSE = 300
+COARSE = 250
+# How much finer each next chain is.
+_REFINEMENT = 3
 # Lags (poses of the thinned chain) whose least-squares answers serve as starts, and the
 # iterations after which the most likely start goes on alone.
 _START_LAGS = (1, 5, 20)
 _RACE = 4
-# While the chain is only a means to a start, negligible means ten times more.
-_ROUGH = 10.0
+# Where terms are compared, and where a chain is only a means to a start, negligible means this
+# many times more.
+_COMPARED, _ROUGH = 1.0, 10.0
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
 # percent and one hundredth of a second. The tails leave room for more.
 _PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
@@ -66,13 +69,18 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     best = _best_start(pairs, every, coarse, wanted)
     best = _grow(best, optional)
     if every == 1:
-        best = fit(coarse, best.state, best.noise, best.terms)
-    else:
-        chain = Chain.from_pairs(pairs)
-        state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
-        best = fit(chain, state, best.noise.carried_to(chain).revived(), best.terms)
-        best = _revise(best, optional)
-    return best
+        return fit(coarse, best.state, best.noise, best.terms)
+    while every > 1:
+        every //= _REFINEMENT
+        best = _refine(best, Chain.from_pairs(pairs, max(every, 1)), final=every <= 1)
+    return _revise(best, optional)
+
+
+def _refine(best: Fit, chain: Chain, *, final: bool) -> Fit:
+    """Fit a finer chain, from what a coarser one found."""
+    state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
+    return fit(chain, state, best.noise.carried_to(chain).revived(), best.terms,
+               tolerance=1.0 if final else _ROUGH)
 
 
 def _best_start(
@@ -84,7 +92,7 @@ def _best_start(
         state = State.start(chain, T_a_b, scale)
         fits.append(fit(chain, state, first_noise(chain, state), terms, _RACE))
     ahead = min(fits, key=lambda candidate: candidate.evaluation.objective)
-    return fit(chain, ahead.state, ahead.noise, terms, tolerance=_ROUGH)
+    return fit(chain, ahead.state, ahead.noise, terms, tolerance=_COMPARED)
 
 
 def starts(
@@ -128,7 +136,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
             terms = (*best.terms, name)
             try:
                 candidate = fit(
-                    best.chain, best.state, best.noise.revived(), terms, tolerance=_ROUGH)
+                    best.chain, best.state, best.noise.revived(), terms, tolerance=_COMPARED)
             except SolverError:
                 # A term that the motion cannot tell from another one is not supported by it.
                 continue
