@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import os
 import sys
 
-from trajectory_calibration.cli import calibrate, inspect, replay, simulate
+from trajectory_calibration.cli import benchmark, calibrate, inspect, replay, simulate
 from trajectory_calibration.errors import CalibrationError, ConfigError
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (calibrate, inspect, replay, simulate)
+_COMMANDS = (benchmark, calibrate, inspect, replay, simulate)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1
