@@ -32,13 +32,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from trajectory_calibration import se3
 
 __all__ = [
-    'Client', 'DescribeParameters', 'GetParameters', 'ListParameters', 'NodeProcess', 'Parameter',
-    'SetParameters', 'drive', 'matrix', 'parameter_value_to_python', 'running',
-    'serialize_message', 'to_message', 'to_path',
+    'Client', 'DescribeParameters', 'GetParameters', 'ListParameters', 'MarkerArray',
+    'NodeProcess', 'Parameter', 'SetParameters', 'drive', 'matrix', 'parameter_value_to_python',
+    'running', 'serialize_message', 'to_message', 'to_path',
 ]
 
 LIMIT_S = 30.0

@@ -1,5 +1,6 @@
 """The node in its own process, over real DDS."""
 
+import importlib.util
 import signal
 import subprocess
 
@@ -275,6 +276,26 @@ def test_results_are_saved_and_restored(tmp_path):
     assert extrinsic[0].child_frame_id == 'camera'
 
 
+def test_the_tracks_lie_over_each_other(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        client.publish_drive(stamps_ns, poses_a, poses_b)
+        path_a = client.latched('trajectory_calibration/path_a', ros.TYPES['Path'])
+        path_b = client.latched('trajectory_calibration/path_b', ros.TYPES['Path'])
+        markers = client.latched('trajectory_calibration/markers', ros.MarkerArray)
+        assert client.call('calibrate').success
+        client.wait(lambda: path_a and path_b and markers, 'the tracks')
+    positions_a, positions_b = (
+        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z]
+                  for p in path[0].poses]) for path in (path_a, path_b))
+    assert path_a[0].header.frame_id == path_b[0].header.frame_id == 'map'
+    assert np.allclose(positions_a, poses_a[:, :3, 3], atol=1e-12)
+    assert np.allclose(positions_b, positions_a, atol=1e-9)
+    lines, text = markers[0].markers
+    assert len(lines.points) == 200
+    assert text.text == 'lidar -> camera: tracks 0.000 m apart (rms)'
+
+
 def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
     with ros.running(tmp_path, *TAYLOR, '-p', 'auto_calibrate:=true') as (node, client):
         extrinsic = client.latched()
@@ -321,6 +342,30 @@ def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
         node.process.kill()
     assert sentence in node.log
     assert 'Traceback' not in node.log
+
+
+def test_publish_tf_without_tf2_msgs_is_refused_at_the_start(tmp_path):
+    if importlib.util.find_spec('tf2_msgs') is not None:
+        pytest.skip('tf2_msgs is installed here')
+    node = ros.NodeProcess(tmp_path, 1, '/test_start', ('-p', 'publish_tf:=true'))
+    try:
+        assert node.process.wait(ros.LIMIT_S) == 2
+    finally:
+        node.process.kill()
+    assert 'publish_tf needs tf2_msgs' in node.log
+
+
+def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):
+    tf2 = pytest.importorskip('tf2_msgs.msg', reason='tf2_msgs is missing')
+    with ros.running(tmp_path, *TAYLOR, '-p', 'publish_tf:=true') as (_, client):
+        transforms = client.latched('/tf_static', tf2.TFMessage)
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        assert client.call('calibrate').success
+        client.wait(lambda: len(transforms) == 2, 'two transforms')
+    latest = transforms[-1].transforms[0]
+    assert (latest.header.frame_id, latest.child_frame_id) == ('lidar', 'camera')
+    assert np.allclose(ros.matrix(latest), ros.T_A_B, atol=1e-10)
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
                              'correct it or set auto')
         feed_track(tracks[topic], buffer)
-    result = session.job(to_config(values), values['frame_a'], values['frame_b']).run()
+    result = session.job(to_config(values), values['frame_a'], values['frame_b']).run().result
     if arguments.format == 'json':
         print(json.dumps(result.to_dict()))
     elif arguments.format == 'yaml':

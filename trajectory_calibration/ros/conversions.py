@@ -18,10 +18,13 @@ from geometry_msgs.msg import (
 from nav_msgs.msg import Odometry, Path
 import numpy as np
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Header
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.ros.overlay import Overlay
+from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.sources.cdr import (
     ODOMETRY,
     PATH,
@@ -37,6 +40,9 @@ MESSAGE_TYPES = {
     POSE_WITH_COVARIANCE: PoseWithCovarianceStamped,
     PATH: Path,
 }
+
+# Metres.
+_LINE_WIDTH, _TEXT_HEIGHT = 0.01, 0.5
 
 
 class RosDeserialiser:
@@ -88,6 +94,45 @@ def to_pose_with_covariance(
     message.pose.pose = Pose(position=Point(**translation), orientation=Quaternion(**rotation))
     message.pose.covariance = result.covariance.reshape(-1)
     return message
+
+
+def to_path(poses: FloatArray, overlay: Overlay) -> Path:
+    """Return (K, 4, 4) poses of an overlay as a path in its world."""
+    header = Header(frame_id=overlay.world_frame)
+    quaternions = se3.rotation_to_quaternion(poses[:, :3, :3])
+    path = Path(header=header)
+    for stamp_ns, (x, y, z), (qx, qy, qz, qw) in zip(
+            overlay.stamps_ns.tolist(), poses[:, :3, 3].tolist(), quaternions.tolist(),
+            strict=True):
+        pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+        path.poses.append(PoseStamped(
+            header=Header(stamp=_to_time(stamp_ns), frame_id=overlay.world_frame), pose=pose))
+    if path.poses:
+        path.header.stamp = path.poses[-1].header.stamp
+    return path
+
+
+def to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> MarkerArray:
+    """Return lines between what a and b say at the same time, and the answer as a text."""
+    header = Header(stamp=stamp, frame_id=overlay.world_frame)
+    ends = np.stack([overlay.poses_a[:, :3, 3], overlay.poses_b[:, :3, 3]], axis=1)
+    apart = float(np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1))))
+    lines = Marker(header=header, ns='disagreement', type=Marker.LINE_LIST)
+    lines.scale.x = _LINE_WIDTH
+    lines.color = ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.9)
+    lines.points = [Point(x=x, y=y, z=z) for x, y, z in ends.reshape(-1, 3).tolist()]
+    text = Marker(header=header, ns='answer', type=Marker.TEXT_VIEW_FACING)
+    x, y, z = ends[0, 0].tolist()
+    text.pose.position = Point(x=x, y=y, z=z + 2 * _TEXT_HEIGHT)
+    text.scale.z = _TEXT_HEIGHT
+    text.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
+    text.text = f'{result.frame_a} -> {result.frame_b}: tracks {apart:.3f} m apart (rms)'
+    return MarkerArray(markers=[lines, text])
+
+
+def _to_time(stamp_ns: int) -> Time:
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
 
 
 def _vector_and_quaternion(result: CalibrationResult) -> tuple[dict[str, Any], dict[str, Any]]:

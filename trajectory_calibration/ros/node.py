@@ -10,14 +10,12 @@ from types import FrameType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -25,7 +23,6 @@ from std_srvs.srv import Trigger
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.answer import describe
-from trajectory_calibration.ros.conversions import to_pose_with_covariance, to_transform_stamped
 from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
@@ -34,6 +31,7 @@ from trajectory_calibration.ros.diagnostics import (
 )
 from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
+from trajectory_calibration.ros.outputs import ResultPublisher
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
 from trajectory_calibration.ros.store import ResultStore
@@ -49,10 +47,6 @@ _REFUSAL_LOG_S = 10.0
 
 # How much more motion there must be before a calibration that failed is tried again unasked.
 _MORE_MOTION = 1.2
-
-_LATCHED = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class CalibrationNode(Node):
@@ -99,9 +93,7 @@ class CalibrationNode(Node):
             self._store = ResultStore(
                 values['result_directory'], self.get_fully_qualified_name())
 
-        self._extrinsic = self.create_publisher(TransformStamped, '~/extrinsic', _LATCHED)
-        self._extrinsic_with_covariance = self.create_publisher(
-            PoseWithCovarianceStamped, '~/extrinsic_with_covariance', _LATCHED)
+        self._publisher = ResultPublisher(self, publish_tf=values['publish_tf'])
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # A call that waits for the solver must not hold up its neighbours.
         group = ReentrantCallbackGroup()
@@ -186,7 +178,7 @@ class CalibrationNode(Node):
             self.get_logger().warning('nothing restored: result_directory holds no result yet')
             return
         path, self._result = found
-        self._publish(self._result)
+        self._publisher.publish(self._result, None)
         self.get_logger().info(f'restored {path}: {describe(self._result)}')
 
     def _on_solved(self) -> None:
@@ -197,23 +189,17 @@ class CalibrationNode(Node):
             self.get_logger().warning(self._last_failure)
             answer = False, str(outcome)
         else:
-            self._result, self._last_failure, self._calibrated = outcome, '', True
-            self._publish(outcome)
-            text = describe(outcome)
+            result = self._result = outcome.result
+            self._last_failure, self._calibrated = '', True
+            self._publisher.publish(result, outcome.overlay)
+            text = describe(result)
             if self._store is not None:
-                text = f'{text}; {self._save(self._store, outcome)[1]}'
+                text = f'{text}; {self._save(self._store, result)[1]}'
             answer = True, text
             self.get_logger().info(text)
         if self._answer is not None:
             self._answer.set_result(answer)
             self._answer = None
-
-    def _publish(self, result: CalibrationResult) -> None:
-        stamp = self.get_clock().now().to_msg()
-        self._extrinsic.publish(to_transform_stamped(result, stamp))
-        with_covariance = to_pose_with_covariance(result, stamp)
-        if with_covariance is not None:
-            self._extrinsic_with_covariance.publish(with_covariance)
 
     def _report(self) -> None:
         now_s = time.monotonic()

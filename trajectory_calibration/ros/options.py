@@ -60,6 +60,10 @@ ANSWER_OPTIONS = (
     Option('calibration_timeout', float, 120.0,
            'time after which a calibration is given up, seconds', minimum=0.1, maximum=86400.0),
 )
+OUTPUT_OPTIONS = (
+    Option('publish_tf', bool, default=False,
+           help='publish the extrinsic on /tf_static too; needs tf2_msgs'),
+)
 ADVICE_OPTIONS = (
     Option('target_translation_std', float, 0.02,
            'standard deviation of the translation that is wanted, metres',
@@ -77,6 +81,7 @@ _GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
     ('Inputs', TOPIC_OPTIONS, False),
     ('What is kept', BUFFER_OPTIONS, False),
     ('Saved results', RESULT_OPTIONS, False),
+    ('What is published', OUTPUT_OPTIONS, False),
     ('Names of the sensors', FRAME_OPTIONS, True),
     ('The answer', ANSWER_OPTIONS, True),
     ('When the motion is enough', ADVICE_OPTIONS, True),

@@ -11,6 +11,15 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Track
+from trajectory_calibration.ros.overlay import make_overlay, Overlay
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """An answer, and the tracks it was found from for a person to look at."""
+
+    result: CalibrationResult
+    overlay: Overlay
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +30,7 @@ class CalibrationJob:
     track_b: Track
     config: CalibrationConfig
 
-    def run(self) -> CalibrationResult:
+    def run(self) -> Calibration:
         """Calibrate.
 
         Raises
@@ -30,7 +39,9 @@ class CalibrationJob:
             As ``calibrate``, and for tracks of fewer than two poses.
 
         """
-        return calibrate(self.track_a.trajectory(), self.track_b.trajectory(), self.config)
+        a, b = self.track_a.trajectory(), self.track_b.trajectory()
+        result = calibrate(a, b, self.config)
+        return Calibration(result, make_overlay(a, b, result))
 
 
 class CalibrationSession:

@@ -18,10 +18,9 @@ import sys
 import threading
 
 from trajectory_calibration.errors import CalibrationError, SolverError
-from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.session import CalibrationJob
+from trajectory_calibration.ros.session import Calibration, CalibrationJob
 
-Outcome = CalibrationResult | CalibrationError
+Outcome = Calibration | CalibrationError
 
 # The solver gives way to whatever else the vehicle's computer has to do.
 _NICENESS = 10
