@@ -1,0 +1,35 @@
+"""What a benchmark ran on."""
+
+from __future__ import annotations
+
+from importlib.metadata import distributions
+import os
+from pathlib import Path
+import platform
+
+from trajectory_calibration.version import __version__
+
+_LIBRARIES = ('numpy', 'scipy', 'casadi', 'joblib')
+
+
+def describe_machine() -> str:
+    """Return processor, cores and system in one line."""
+    cores = os.cpu_count()
+    return f'{_processor()}, {cores} cores, {platform.system()} {platform.machine()}'
+
+
+def describe_versions() -> str:
+    """Return the versions of this package, of Python and of what computes, in one line."""
+    installed = {item.name: item.version for item in distributions() if item.name in _LIBRARIES}
+    return ', '.join([
+        f'trajectory_calibration {__version__}', f'CPython {platform.python_version()}',
+        *(f'{name} {installed[name]}' for name in _LIBRARIES if name in installed)])
+
+
+def _processor() -> str:
+    try:
+        lines = Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(':')[2].strip() for line in lines if line.startswith('model name')]
+    return names[0] if names else platform.processor() or 'unknown processor'
