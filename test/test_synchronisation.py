@@ -1,0 +1,129 @@
+"""The offset between two clocks, from the turning of two sensors."""
+
+from motion_data import perturb, random_pose
+import numpy as np
+from published import kitti, SEQUENCES, simulations
+import pytest
+
+from trajectory_calibration import se3, Trajectory
+from trajectory_calibration.synchronisation import find_clock_offset
+
+SECOND = 1_000_000_000
+
+
+def smooth_body(rng, *, planar=False):
+    """Return a function from (K,) seconds to (K, 4, 4) poses on a smooth, lively path."""
+    count = 8
+    rate = rng.uniform(0.05, 0.6, size=(6, count))
+    phase = rng.uniform(0, 2 * np.pi, size=(6, count))
+    size = rng.normal(size=(6, count)) * 0.3
+    if planar:
+        size[3:5] = 0
+
+    def pose(t):
+        waves = np.sin(2 * np.pi * rate[None] * t[:, None, None] + phase) * size
+        curve = waves.sum(axis=2)
+        return se3.from_rotation_translation(se3.exp_so3(curve[:, 3:]), curve[:, :3] * 5)
+
+    return pose
+
+
+def sampled(pose, X, seconds, rate, start=0.0, clock=0.0, name='a'):
+    """Return a sensor at X that samples the body at ``rate``; its clock is behind by ``clock``."""
+    t = start + np.arange(0, seconds, 1 / rate)
+    stamps = np.round((t - clock) * 1e9).astype(np.int64) + 10**18
+    return Trajectory(stamps, pose(t) @ X, 'map', name)
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('offset', [0.0, 0.013, -0.5, 2.0, -4.9])
+@pytest.mark.parametrize('rates', [(10, 10), (10, 30), (50, 7), (400, 3)])
+def test_finds_any_offset_within_its_own_error_bar(rates, offset, planar):
+    rng = np.random.default_rng(round(1000 * (5 + offset)))
+    pose = smooth_body(rng, planar=planar)
+    a = perturb(rng, sampled(pose, np.eye(4), 60, rates[0]), 0.01, 0.002)
+    b = perturb(rng, sampled(pose, random_pose(rng), 60, rates[1], 0.03, offset), 0.01, 0.002)
+    found = find_clock_offset(a, b, 5.0)
+    assert found.correlation > 0.9
+    assert abs(found.seconds - offset) < max(5 * found.std, 2e-3)
+    assert found.std < 0.02
+    if abs(offset) > 0.1:
+        assert found.significant
+
+
+def test_the_error_bar_is_honest():
+    """Offsets of zero over 60 seeds: never significant, and as far as they say."""
+    scores = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        pose = smooth_body(rng)
+        a = perturb(rng, sampled(pose, np.eye(4), 40, 10), 0.01, 0.01)
+        b = perturb(rng, sampled(pose, random_pose(rng), 40, 10), 0.01, 0.01)
+        found = find_clock_offset(a, b, 5.0)
+        assert not found.significant
+        scores.append(found.seconds / found.std)
+    assert 0.3 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_gaps_do_not_matter():
+    rng = np.random.default_rng(1)
+    pose = smooth_body(rng)
+    a, b = sampled(pose, np.eye(4), 60, 10), sampled(pose, random_pose(rng), 60, 20, clock=1.25)
+    keep_a = np.r_[0:150, 190:600]
+    keep_b = np.r_[0:500, 580:1200]
+    holed_a = Trajectory(a.stamps_ns[keep_a], a.poses[keep_a], 'map', 'a')
+    holed_b = Trajectory(b.stamps_ns[keep_b], b.poses[keep_b], 'map', 'b')
+    assert find_clock_offset(holed_a, holed_b, 5.0).seconds == pytest.approx(1.25, abs=2e-3)
+
+
+def test_no_turning_tells_nothing():
+    t = np.arange(0, 100) * SECOND // 10
+    poses = np.tile(np.eye(4), (100, 1, 1))
+    poses[:, 0, 3] = np.linspace(0, 10, 100)
+    straight = Trajectory(t, poses)
+    assert find_clock_offset(straight, straight, 5.0) is None
+
+
+def test_unrelated_turning_is_not_significant():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        a = sampled(smooth_body(rng), np.eye(4), 300, 10)
+        b = sampled(smooth_body(rng), np.eye(4), 300, 10)
+        found = find_clock_offset(a, b, 5.0)
+        assert found is None or found.correlation < 0.75
+
+
+def test_too_short_for_an_offset():
+    rng = np.random.default_rng(2)
+    pose = smooth_body(rng)
+    a = sampled(pose, np.eye(4), 0.4, 10)
+    assert find_clock_offset(a, a, 5.0) is None
+
+
+def shifted(b, seconds):
+    return Trajectory(b.stamps_ns - round(seconds * 1e9), b.poses, b.world_frame, b.sensor_frame)
+
+
+@pytest.mark.parametrize('sequence', SEQUENCES)
+def test_injected_offsets_on_kitti(shared_data, sequence):
+    """Two seconds more are two seconds more, to 5 ms, relative to what is there without."""
+    a, b, _ = kitti(shared_data, sequence)
+    before = find_clock_offset(a, b, 5.0)
+    # The triggers of the cameras are stamped 4.6 and 6.1 ms before lidar and other camera.
+    assert before.seconds == pytest.approx(0.005, abs=0.004)
+    for offset in (2.0, -2.0):
+        found = find_clock_offset(a, shifted(b, offset), 5.0)
+        assert found.seconds - before.seconds == pytest.approx(offset, abs=0.005)
+        assert found.significant
+
+
+def test_injected_offsets_on_the_mixture(shared_data):
+    """Half a sample (50 ms) is asked for."""
+    for kind, _, _, a, b, _ in simulations(shared_data):
+        if kind != 'mixture':
+            continue
+        before = find_clock_offset(a, b, 5.0)
+        assert not before.significant
+        for offset in (2.0, -2.0):
+            found = find_clock_offset(a, shifted(b, offset), 5.0)
+            assert found.seconds - before.seconds == pytest.approx(offset, abs=0.05)
