@@ -22,7 +22,7 @@ FLOW = (
     ('solvers.__init__',),
     ('config',),
     ('solvers',),
-    ('metrics', 'observability', 'pair_noise'),
+    ('metrics', 'observability', 'excitation', 'pair_noise'),
     ('uncertainty',),
     ('result',),
     ('pipeline',),

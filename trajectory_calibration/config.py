@@ -12,6 +12,7 @@ from typing import Any
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.motions import parse_reference, REFERENCE_HELP
+from trajectory_calibration.priors import parse_prior, Prior
 from trajectory_calibration.solvers import SOLVER_NAMES
 
 
@@ -93,10 +94,41 @@ class CalibrationConfig:
         'auto', 'how dnlo finds its minimum; auto chooses by the number of motions',
         choices=('auto', 'ipopt', 'path', 'alternating'))
 
+    prior_translation: str = _option(
+        '', 'known position of b in a, metres: x,y,z with - for an unknown one; empty: none')
+    prior_translation_std: str = _option(
+        '', 'its standard deviations, metres: one number, or x,y,z; 0 fixes a component')
+    prior_rotation: str = _option(
+        '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
+    prior_rotation_std: str = _option(
+        '', 'its standard deviations about x,y,z of a, degrees: one number, or three with - for '
+        'an unknown one; 0 fixes')
+    allow_unobserved: bool = _option(
+        default=False, text='answer also where the motion leaves a direction open; that direction '
+        'is then zero or the prior, and marked unobserved')
+    weak_translation: float = _option(
+        0.05, 'standard deviation above which a direction of the translation is called weak, '
+        'metres', minimum=0.0, maximum=1e3)
+    weak_rotation: float = _option(
+        0.5, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+    unobserved_translation: float = _option(
+        0.5, 'standard deviation above which a direction of the translation is called '
+        'unobserved, metres', minimum=0.0, maximum=1e3)
+    unobserved_rotation: float = _option(
+        5.0, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+
     def __post_init__(self) -> None:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
         parse_reference(self.reference)
+        # Read now, so that a mistake shows before any data is loaded.
+        _ = self.prior
+
+    @property
+    def prior(self) -> Prior:
+        """Return what is known of the extrinsic beforehand."""
+        return parse_prior(self.prior_translation, self.prior_translation_std,
+                           self.prior_rotation, self.prior_rotation_std)
 
     @classmethod
     def options(cls) -> Iterator[Option]:

@@ -1,15 +1,53 @@
-"""What the motion determined of an extrinsic, and what it did not."""
+"""What the motion determined of an extrinsic, and what it did not.
+
+The covariance of the answer says it: a direction that the motion left open is one in which the
+standard deviation is large. The limits are settings, the words are for the driver.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
+
+# Degrees of freedom in the order of the covariance; axes are those of sensor a.
+DEGREES_OF_FREEDOM = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
+
+OBSERVED, WEAK, UNOBSERVED, PRIOR = 'observed', 'weak', 'unobserved', 'prior'
+
+# A prior that leaves less than this share of the variance is where the value comes from.
+_DOMINATED = 0.5
+
+# Within this angle of an axis, its name says more than three numbers.
+_NEAR_AXIS = np.cos(np.deg2rad(18.0))
+
+# Root mean square rotations below this, degrees, hardly count as turning.
+_HARDLY = 0.2
+
+
+@dataclass(frozen=True)
+class WeakAxis:
+    """A direction that the motion determined badly or not at all.
+
+    Attributes
+    ----------
+    kind : 'translation' or 'rotation'.
+    axis : unit vector in a: the shift along it, or the rotation about it.
+    std : standard deviation, metres or degrees.
+    status : 'weak' or 'unobserved'.
+
+    """
+
+    kind: str
+    axis: tuple[float, ...]
+    std: float
+    status: str
 
 
 @dataclass(frozen=True)
@@ -18,6 +56,9 @@ class Observability:
 
     Attributes
     ----------
+    status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' where the
+        value comes from what was known beforehand.
+    weak_axes : the directions behind it, largest standard deviation first.
     excitation_deg : root mean square rotation of a motion about x, y, z of a, degrees.
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
@@ -26,14 +67,28 @@ class Observability:
 
     """
 
+    status: dict[str, str]
+    weak_axes: tuple[WeakAxis, ...]
     excitation_deg: tuple[float, ...]
     translation_gain: tuple[float, ...]
     translation_axes: tuple[tuple[float, ...], ...]
     warnings: tuple[str, ...] = ()
 
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """Return the degrees of freedom that neither the motion nor a prior determines."""
+        return tuple(name for name, status in self.status.items() if status == UNOBSERVED)
+
+    @property
+    def weak(self) -> tuple[str, ...]:
+        """Return the degrees of freedom that are determined, but badly."""
+        return tuple(name for name, status in self.status.items() if status == WEAK)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON or YAML."""
         return {
+            'status': dict(self.status),
+            'weak_axes': [{**asdict(item), 'axis': list(item.axis)} for item in self.weak_axes],
             'excitation_deg': list(self.excitation_deg),
             'translation_gain': list(self.translation_gain),
             'translation_axes': [list(axis) for axis in self.translation_axes],
@@ -43,35 +98,140 @@ class Observability:
     def from_dict(cls, data: dict[str, Any]) -> Observability:
         """Rebuild from ``to_dict``."""
         return cls(
+            {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
+            tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
+                           float(item['std']), str(item['status']))
+                  for item in data['weak_axes']),
             tuple(map(float, data['excitation_deg'])),
             tuple(map(float, data['translation_gain'])),
             tuple(tuple(map(float, axis)) for axis in data['translation_axes']))
 
 
-def observe(motions: MotionPairs) -> Observability:
-    """Measure what the rotations of the motions say about the extrinsic.
+def observe(
+    motions: MotionPairs,
+    by_motion: FloatArray,
+    covariance: FloatArray,
+    config: CalibrationConfig,
+    frame: str,
+) -> Observability:
+    """Say what the motion and the priors determined.
 
-    The translation enters ``A X = X B`` only through ``(R_A - I) t``: along an axis that all
-    rotations share it is not observed, and nearly so where they nearly share one.
+    Parameters
+    ----------
+    motions : MotionPairs
+        Relative motions, for the excitation.
+    by_motion : (6, 6)
+        Covariance of the extrinsic from the motion alone.
+    covariance : (6, 6)
+        Covariance with the priors; the same where there are none.
+    config : CalibrationConfig
+        What counts as weak and as unobserved.
+    frame : str
+        Name of sensor a, for the words.
+
     """
     R = motions.A[:, :3, :3]
-    excitation = np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0))
+    excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
     gain, axes = translation_gain(R)
+    weak_axes = _weak_axes(covariance, config)
     return Observability(
-        tuple(np.rad2deg(excitation).tolist()),
+        _status(by_motion, covariance, config),
+        weak_axes,
+        tuple(excitation.tolist()),
         tuple(gain.tolist()),
-        tuple(tuple(axis) for axis in axes.tolist()))
+        tuple(tuple(axis) for axis in axes.tolist()),
+        tuple(_describe(item, axes[0], float(np.linalg.norm(excitation)), frame)
+              for item in weak_axes))
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (3,) ascending gains of ``(R_A - I) t`` and the (3, 3) axes as rows.
 
-    ``rotations_a`` is (M, 3, 3); the gain is the root mean square over the motions.
+    ``rotations_a`` is (M, 3, 3); the gain is the root mean square over the motions. The weakest
+    axis is also the one that the sensor turned about most.
     """
     D = rotations_a - np.eye(3)
     eigenvalues, eigenvectors = np.linalg.eigh(
         np.einsum('kij,kil->jl', D, D) / max(1, len(rotations_a)))
-    axes = eigenvectors.T
-    # An axis has no direction of its own; point it along its largest component.
+    return np.sqrt(np.maximum(eigenvalues, 0.0)), _pointed(eigenvectors.T)
+
+
+def axis_name(axis: FloatArray) -> str:
+    """Return 'x', 'y' or 'z' for a (3,) unit vector near one of them, else its numbers."""
+    largest = int(np.argmax(np.abs(axis)))
+    if abs(axis[largest]) > _NEAR_AXIS:
+        return 'xyz'[largest]
+    return f'({", ".join(f"{value:.2f}" for value in axis)})'
+
+
+def _judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
+    """Return the status of a standard deviation, metres or degrees."""
+    weak = config.weak_rotation if rotation else config.weak_translation
+    unobserved = config.unobserved_rotation if rotation else config.unobserved_translation
+    # Written so that NaN is not observed.
+    if not std <= unobserved:
+        return UNOBSERVED
+    return OBSERVED if std <= weak else WEAK
+
+
+def _pointed(axes: FloatArray) -> FloatArray:
+    """Point (3, 3) axes, rows without a direction of their own, along their largest element."""
     largest = np.take_along_axis(axes, np.abs(axes).argmax(1)[:, None], axis=1)
-    return np.sqrt(np.maximum(eigenvalues, 0.0)), axes * np.sign(largest)
+    pointed: FloatArray = axes * np.sign(largest)
+    return pointed
+
+
+def _deviations(covariance: FloatArray) -> FloatArray:
+    """Return (6,) standard deviations, metres and degrees."""
+    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return np.concatenate([std[:3], np.rad2deg(std[3:])])
+
+
+def _status(
+    by_motion: FloatArray, covariance: FloatArray, config: CalibrationConfig,
+) -> dict[str, str]:
+    before, after = _deviations(by_motion), _deviations(covariance)
+    given = np.isfinite(config.prior.std)
+    status = {}
+    for k, name in enumerate(DEGREES_OF_FREEDOM):
+        status[name] = _judge(config, after[k], rotation=k >= 3)
+        # A prior of one component helps others through their correlation: those count as known
+        # beforehand only if the motion alone left them open.
+        open_before = given[k] or _judge(config, before[k], rotation=k >= 3) != OBSERVED
+        dominated = after[k]**2 < _DOMINATED * before[k]**2
+        if dominated and open_before and status[name] != UNOBSERVED:
+            status[name] = PRIOR
+    return status
+
+
+def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakAxis, ...]:
+    found = []
+    for kind, block in (('translation', covariance[:3, :3]), ('rotation', covariance[3:, 3:])):
+        variances, axes = np.linalg.eigh(block)
+        std = np.sqrt(np.maximum(variances, 0.0))
+        std = np.rad2deg(std) if kind == 'rotation' else std
+        for value, axis in zip(std[::-1], _pointed(axes.T)[::-1], strict=True):
+            status = _judge(config, value, rotation=kind == 'rotation')
+            if status != OBSERVED:
+                found.append(WeakAxis(kind, tuple(axis.tolist()), float(value), status))
+    return tuple(found)
+
+
+def _describe(item: WeakAxis, turned_about: FloatArray, turned: float, frame: str) -> str:
+    """Return what a driver needs to know about a weak direction.
+
+    ``turned_about`` is the main axis of the turns, ``turned`` their size in degrees.
+    """
+    name = axis_name(np.array(item.axis))
+    where = (f'translation along {name} of {frame}' if item.kind == 'translation'
+             else f'rotation about {name} of {frame}')
+    unit = 'm' if item.kind == 'translation' else 'deg'
+    if item.status == WEAK:
+        advice = ('drive steeper ramps or banks, or longer' if item.kind == 'translation'
+                  else 'drive more curves, ramps and banks, or longer')
+        return f'{where}: weak, standard deviation {item.std:.2g} {unit}; {advice}'
+    if turned < _HARDLY:
+        return (f'{where}: not observed, the vehicle hardly turned; drive curves, and a ramp or '
+                'a bank')
+    return (f'{where}: not observed, the vehicle turned about {axis_name(turned_about)} only, as '
+            'far as noise lets it be seen; drive a ramp or a bank')

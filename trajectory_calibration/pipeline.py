@@ -7,6 +7,7 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe
+from trajectory_calibration.priors import apply_prior
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.trajectory import Trajectory
@@ -57,13 +58,15 @@ def calibrate(
     motions = select_motions(pairs, config.reference)
     solution = solve(motions, config)
     uncertainty = estimate_uncertainty(solution, motions)
-    metrics = relative_errors(solution.T_a_b, motions)
-    observability = observe(motions)
+    T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
+    metrics = relative_errors(T_a_b, motions)
+    observability = observe(
+        motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
     return CalibrationResult(
         frame_a=trajectory_a.sensor_frame,
         frame_b=trajectory_b.sensor_frame,
-        T_a_b=solution.T_a_b,
-        covariance=None if uncertainty is None else uncertainty.covariance,
+        T_a_b=T_a_b,
+        covariance=covariance,
         metrics=metrics,
         poses=len(pairs),
         motions=len(motions),
@@ -76,6 +79,7 @@ def calibrate(
             *trajectory_b.warnings,
             *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
             *solution.warnings,
+            *uncertainty.warnings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
             *observability.warnings,
         ),
     )

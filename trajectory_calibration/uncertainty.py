@@ -9,49 +9,43 @@ residuals. Three things make the textbook ``sigma^2 (J^T J)^-1`` wrong, by facto
   of step s through all that span it. Both come from one running sum, whatever the reference. The
   noise levels are those of ``pair_noise``; where a long-run (Newey-West) covariance of the
   scores finds more than they explain, as with coloured noise, the result is inflated to it.
-* Noise in the rotations passes for excitation: in planar motion the sum J^T J is made of noise
-  alone and looks well-conditioned. Here the excitation is the product of what a saw with what b
-  saw, whose noises are independent, so that noise alone gives zero on average. A direction in
-  which that product does not stand out of its own noise is *unobserved*.
+* Noise in the rotations passes for excitation. H is therefore made of products of what a saw with
+  what b saw, and a direction in which these do not stand out of the noise is *unobserved*: see
+  ``excitation``.
 * What the noise does to the answer on average (errors in variables), and what a constant drift
   per metre does where the data prove one, are not variance but bias; their squares are added.
 
 W. K. Newey, K. D. West, Econometrica 55(3), 1987, doi:10.2307/1913610 (long-run covariance; with
 its triangular weights the same as a moving-block bootstrap, H. R. Kunsch, Annals of Statistics
-17(3), 1989, doi:10.1214/aos/1176347265); W. A. Fuller, "Measurement Error Models", 1987, section
-1.4 (a second measurement as the instrument).
+17(3), 1989, doi:10.1214/aos/1176347265).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.motions import MotionPairs, parse_reference
+from trajectory_calibration.errors import SolverError
+from trajectory_calibration.excitation import (
+    block_length,
+    CHUNK,
+    gram,
+    opens_rotation,
+    scaled_to_unknown,
+    split,
+    split_pairs,
+    thinned,
+    thinning,
+    weighted_instruments,
+)
+from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.pair_noise import identify_noise, PairNoise, step_lengths
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Linearise, Solution
-
-# Standard deviations that stand for "unknown" in a covariance, metres and radians.
-UNKNOWN = np.array([1e3] * 3 + [np.pi] * 3)
-
-# Motions that are linearised at once.
-_CHUNK = 2048
-
-# Blocks of the long-run covariance: this many lags of the reference, at most a fifth of the data.
-_BLOCK_LAGS = 3
-_BLOCK_SHARE = 0.2
-
-# Directions with less than this share of true excitation are tested against noise.
-_SUSPECT_SHARE = 0.5
-
-# Excitation counts when it exceeds this many standard deviations of what noise alone would give.
-_SIGNIFICANT_EXCITATION = 4.0
 
 # Motions that are enough to find a drift of the whole drive.
 _MOTIONS_FOR_DRIFT = 4000
@@ -78,13 +72,33 @@ class Uncertainty:
     drift: FloatArray | None = None
     unobserved: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
 
+    def warnings(self, frame_a: str, frame_b: str) -> tuple[str, ...]:
+        """Return what a person should know of it, with the names of the sensors."""
+        if self.drift is None:
+            return ()
+        percent = ', '.join(f'{100 * value:.2g}' for value in self.drift)
+        text = (f'{frame_b} drifts against {frame_a} by ({percent}) percent of the way along x, '
+                f'y, z of {frame_a}, or its scale is off; the answer is uncertain by as much as '
+                'that could move it')
+        return (text,)
 
-def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertainty | None:
-    """Return the uncertainty of a solution: the solver's own, or one from its equations."""
+
+def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertainty:
+    """Return the uncertainty of a solution: the solver's own, or one from its equations.
+
+    Raises
+    ------
+    SolverError
+        The solver gave neither.
+
+    """
     if solution.covariance is not None:
-        return Uncertainty(solution.covariance)
+        # A solver that takes the motion for what it is trusts the noise in it as well.
+        open_ = split_pairs(solution.T_a_b, motions.pairs).unobserved
+        return Uncertainty(
+            _semidefinite(solution.covariance) + open_.T @ open_, unobserved=open_)
     if solution.linearise is None:
-        return None
+        raise SolverError('the solver gave neither a covariance nor the equations it solved')
     X, weights, linearise = solution.T_a_b, solution.inliers, solution.linearise
     w = np.ones(len(motions)) if weights is None else weights.astype(np.float64)
     usable = None if weights is None else _spanned(motions, weights)
@@ -94,7 +108,8 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     # The rotations alone tell a drift from a turned sensor; a joint solver takes one for the
     # other, and its own equations could not say.
     drift = (found if linearise is linear.separable else _analyse(
-        X, _thinned(motions), _thin(w), noise, poses_c, linear.separable)).drift
+        X, thinned(motions, _MOTIONS_FOR_DRIFT), w[thinning(len(w), _MOTIONS_FOR_DRIFT)], noise,
+        poses_c, linear.separable)).drift
     if drift is None:
         return found.uncertainty(np.zeros(6))
     # The data prove a drift: judge the noise without it, and count as possible error what the
@@ -107,6 +122,14 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     noise = identify_noise(motions.pairs.poses_a, poses_c, usable)
     rest = _analyse(moved, motions, w, noise, poses_c, linearise)
     return rest.uncertainty(step, drift=-drift)
+
+
+def _semidefinite(covariance: FloatArray) -> FloatArray:
+    """Return the nearest (6, 6) matrix without negative variances, which rounding may leave."""
+    eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+    semidefinite: FloatArray = root @ root.T
+    return semidefinite
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,22 +190,30 @@ def _analyse(
     lengths = step_lengths(poses_a)
     sums = _accumulate(X, motions, weights, local, poses_c, linearise)
     meat = _meat(sums.by_pose, local, lengths, noise, X)
-    block = _block(motions)
+    block = block_length(motions)
     inflation = max(1.0, _excess(_long_run(sums.scores, block), meat[:6, :6]))
-    kept, unobserved = _excited(X, motions, weights, poses_c, linearise, sums, block)
+    excited = split(
+        sums.shared, sums.own,
+        weighted_instruments(X, motions, weights, poses_c, linearise), block)
+    kept = excited.basis
     inverse = _inverse(sums.cross, kept)
+    # What is found after a direction that is open goes wrong with it.
+    unobserved = scaled_to_unknown(
+        excited.unobserved - excited.unobserved @ (inverse @ sums.cross).T)
     free = np.zeros((9, kept.shape[1] + 3))
     free[:6, :-3], free[6:, -3:] = kept, np.eye(3)
     with_drift = _inverse(sums.bread, free)[6:]
     drift = -with_drift @ sums.score
     drift_covariance = inflation * with_drift @ meat @ with_drift.T
     chi_square = drift @ np.linalg.pinv(drift_covariance, rcond=1e-12) @ drift
+    drifts = chi_square > _SIGNIFICANT_DRIFT and not opens_rotation(unobserved)
     return _Analysis(
         covariance=inflation * inverse @ meat[:6, :6] @ inverse.T,
         bias=-inverse @ sums.clean_score,
         noise=noise,
         unobserved=unobserved,
-        drift=drift if chi_square > _SIGNIFICANT_DRIFT else None,
+        # A rotation that is open is as good an explanation as a drift.
+        drift=drift if drifts else None,
         by_drift=-_inverse(sums.bread[:6, :6], kept) @ sums.bread[:6, 6:],
     )
 
@@ -202,8 +233,8 @@ def _accumulate(
     cross, shared, own = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
     by_pose = np.zeros((len(local), 9, 6))
     scores = np.empty((len(motions), 6))
-    for start in range(0, len(motions), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(motions), CHUNK):
+        part = slice(start, start + CHUNK)
         i, j = motions.i[part], motions.j[part]
         A, C = motions.A[part], se3.inverse(poses_c[i]) @ poses_c[j]
         found, of_a, of_b = linearise(X, A, C), linearise(X, A, A), linearise(X, C, C)
@@ -215,25 +246,19 @@ def _accumulate(
         Z = w * np.concatenate([found.instrument, drifted], axis=2)
         Zt = np.swapaxes(Z, 1, 2)
         each = (Zt @ found.residual[:, :, None])[:, :, 0]
-        bread += _gram(Z, J)
+        bread += gram(Z, J)
         score += each.sum(axis=0)
         scores[part] = each[:, :6]
         clean += 0.5 * np.einsum('kri,kr->i', Z_a + Z_b, found.residual)
-        cross += 0.5 * (_gram(Z_a, of_b.jacobian) + _gram(Z_b, of_a.jacobian))
-        shared += _gram(Z_a, of_b.instrument)
-        own += 0.5 * (_gram(Z_a, of_a.instrument) + _gram(Z_b, of_b.instrument))
+        cross += 0.5 * (gram(Z_a, of_b.jacobian) + gram(Z_b, of_a.jacobian))
+        shared += gram(Z_a, of_b.instrument)
+        own += 0.5 * (gram(Z_a, of_a.instrument) + gram(Z_b, of_b.instrument))
         moved = Zt @ found.disturbance @ to_body[j]
         # The current pose of a motion is no other's; its reference pose may be shared.
         by_pose[j] += moved
         first = np.flatnonzero(np.diff(i, prepend=-1))
         by_pose[i[first]] -= np.add.reduceat(moved, first, axis=0)
     return _Sums(bread, score, clean, cross, 0.5 * (shared + shared.T), own, by_pose, scores)
-
-
-def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return ``sum left^T right`` of (M, 6, n) and (M, 6, m)."""
-    product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
-    return product
 
 
 def _meat(
@@ -255,14 +280,6 @@ def _spread(effects: FloatArray, covariance: FloatArray) -> FloatArray:
     rows = np.swapaxes(rows, 1, 2).reshape(-1, effects.shape[1])
     spread: FloatArray = rows.T @ rows
     return spread
-
-
-def _block(motions: MotionPairs) -> int:
-    """Return the number of motions over which scores are taken to be correlated."""
-    count = len(motions)
-    end = motions.j[0] + _BLOCK_LAGS * parse_reference(motions.reference)[1]
-    lags = int(np.searchsorted(motions.j, end))
-    return max(1, min(max(lags, round(2 * count**(1 / 3))), int(_BLOCK_SHARE * count)))
 
 
 def _long_run(scores: FloatArray, block: int) -> FloatArray:
@@ -290,78 +307,6 @@ def _inverse(matrix: FloatArray, basis: FloatArray) -> FloatArray:
     """Return the inverse of a matrix on the span of the columns of a basis, zero elsewhere."""
     inverse: FloatArray = basis @ np.linalg.pinv(basis.T @ matrix @ basis, rcond=1e-14) @ basis.T
     return inverse
-
-
-def _excited(
-    X: FloatArray,
-    motions: MotionPairs,
-    weights: FloatArray,
-    poses_c: FloatArray,
-    linearise: Linearise,
-    sums: _Sums,
-    block: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return a basis (6, 6 - K) of the excited directions, and the (K, 6) others.
-
-    In the basis that makes what each sensor saw the identity, what both saw has eigenvalues
-    near one where they saw the same turns, and near zero where each saw its own noise.
-    """
-    scale = np.sqrt(np.maximum(np.diagonal(sums.own), np.finfo(float).tiny))
-    eigenvalues, vectors = np.linalg.eigh(sums.own / np.outer(scale, scale))
-    floor = 1e-14 * eigenvalues[-1]
-    basis = vectors / np.sqrt(np.maximum(eigenvalues, floor)) / scale[:, None]
-    share, rotation = np.linalg.eigh(basis.T @ sums.shared @ basis)
-    basis = basis @ rotation
-    excited = share > _SUSPECT_SHARE
-    suspects = np.flatnonzero(~excited)
-    if len(suspects):
-        noise = _excitation_by_noise(
-            X, motions, weights, poses_c, linearise, basis[:, suspects], block)
-        excited[suspects] = share[suspects] > _SIGNIFICANT_EXCITATION * noise
-    directions = basis[:, ~excited].T
-    length = np.abs(directions / UNKNOWN).max(axis=1, initial=0.0)
-    return basis[:, excited], directions / np.maximum(length, np.finfo(float).tiny)[:, None]
-
-
-def _excitation_by_noise(
-    X: FloatArray,
-    motions: MotionPairs,
-    weights: FloatArray,
-    poses_c: FloatArray,
-    linearise: Linearise,
-    directions: FloatArray,
-    block: int,
-) -> FloatArray:
-    """Return (K,) standard deviations of the shared excitation if both saw only noise.
-
-    The difference of what a and b saw along (6, K) directions holds the noise of both; half of
-    its autocovariance is taken for either.
-    """
-    parts = []
-    for start in range(0, len(motions), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        A = motions.A[part]
-        C = se3.inverse(poses_c[motions.i[part]]) @ poses_c[motions.j[part]]
-        difference = linearise(X, A, A).instrument - linearise(X, C, C).instrument
-        parts.append(np.sqrt(weights[part])[:, None, None] * (difference @ directions))
-    rows = np.concatenate(parts)
-    count = len(rows)
-    variance = np.zeros(directions.shape[1])
-    for lag in range(block + 1):
-        for k in range(len(variance)):
-            covariance = rows[lag:, :, k].T @ rows[:count - lag, :, k] / 2
-            variance[k] += (1 if lag == 0 else 2) * np.sum(covariance**2) / count
-    return np.sqrt(variance)
-
-
-def _thin(values: NDArray[Any]) -> NDArray[Any]:
-    """Return every n-th of the values of the motions, enough to find a drift."""
-    return values[::-(-len(values) // _MOTIONS_FOR_DRIFT)]
-
-
-def _thinned(motions: MotionPairs) -> MotionPairs:
-    return MotionPairs(motions.reference, _thin(motions.i), _thin(motions.j),
-                       _thin(motions.A), _thin(motions.B), motions.pairs)
 
 
 def _spanned(motions: MotionPairs, inliers: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -23,10 +23,9 @@ _TRANSLATION = slice(9, 12)
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic of lowest cost (m^2); raises MotionError for a free direction."""
-    del config  # nothing to set
     G = quadratic.gram(motions, _TRANSLATION)
-    quadratic.require_translation(G, len(motions))
-    minimum = quadratic.minimise(G)
-    T_a_b = quadratic.polish(minimum.T_a_b, motions, _TRANSLATION)
+    held = quadratic.hold(G, len(motions), config)
+    minimum = quadratic.minimise(G + held)
+    T_a_b = quadratic.polish(minimum.T_a_b, motions, _TRANSLATION, held=held)
     return Solution(
         T_a_b, minimum.cost, minimum.iterations, linearise=linear.translation_only)

@@ -46,13 +46,13 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
         Ipopt stopped before a minimum.
 
     """
-    del config  # nothing to set
     G = quadratic.gram(motions)
-    quadratic.require_translation(G, len(motions))
+    held = quadratic.hold(G, len(motions), config)
+    G = G + held
     # The cost is not convex in the rotation: Ipopt starts where a search over all of SO(3) ends.
     start = quadratic.minimise(G).T_a_b
     T_a_b, cost, iterations = minimise_with_ipopt(G, start)
-    return Solution(quadratic.polish(T_a_b, motions), cost, iterations,
+    return Solution(quadratic.polish(T_a_b, motions, held=held), cost, iterations,
                     linearise=linear.frobenius)
 
 

@@ -70,7 +70,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """
     cost = TrimmedCost(motions, config.dnlo_c, config.dnlo_min_inliers)
     G = cost.gram(np.ones((len(motions), 1)))[0]
-    quadratic.require_translation(G, len(motions))
+    cost.held = quadratic.hold(G, len(motions), config)
+    G = G + cost.held
     best, steps = _minimise(cost, motions, G, config.dnlo_method)
     return _finish(best, cost, motions, steps)
 
@@ -81,9 +82,11 @@ def _minimise(
     """Go down one way, or as ``auto`` the way that suits the number of motions."""
     if method == 'alternating':
         return cost.alternate(_starts(motions, G))
-    if method == 'ipopt':
+    # The nonlinear program knows no direction that is held from outside.
+    held = cost.held.any()
+    if method == 'ipopt' and not held:
         return _minimise_with_ipopt(cost)
-    if method == 'auto' and len(motions) <= _IPOPT_MOTIONS:
+    if method == 'auto' and len(motions) <= _IPOPT_MOTIONS and not held:
         joint, steps = _minimise_with_ipopt(cost)
         T_a_b = joint.T_a_b[0]
     else:
@@ -103,7 +106,8 @@ def _finish(
     quadratic.require_translation(G, int(np.count_nonzero(weights)))
     quadratic.require_rotation(G, T_a_b)
     return Solution(
-        quadratic.polish(T_a_b, motions, weights=weights), float(best.cost[0]), steps,
+        quadratic.polish(T_a_b, motions, weights=weights, held=cost.held),
+        float(best.cost[0]), steps,
         inliers=weights > 0.5, linearise=linear.frobenius)
 
 

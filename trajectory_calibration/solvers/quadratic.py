@@ -13,6 +13,7 @@ from itertools import permutations, product
 import numpy as np
 
 from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
@@ -20,6 +21,10 @@ from trajectory_calibration.se3 import FloatArray
 # Relative to the largest eigenvalue of a sum of squares: below it a direction is not determined
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
 _UNDETERMINED = 1e-12
+
+# Weight, relative to the rotation's part of a form, of what holds an undetermined rotation: too
+# small to count in a direction that is determined, enough to pass for determined in another.
+_HOLD = 1e-9
 
 # The smallest root mean square rotation (radians) that counts as turning at all.
 _NO_ROTATION = 1e-9
@@ -100,17 +105,71 @@ def monomials(T_a_b: FloatArray) -> FloatArray:
 
 def require_translation(G: FloatArray, motions: int) -> None:
     """Raise MotionError where the translation block of a Gram matrix has an empty direction."""
-    eigenvalues, axes = np.linalg.eigh(G[9:12, 9:12])
-    angle = np.sqrt(max(eigenvalues[-1], 0.0) / motions)
-    if angle < _NO_ROTATION:
+    free, angle = free_translations(G[9:12, 9:12], motions)
+    if len(free) == 3:
         raise MotionError(
             f'the sensors did not turn (root mean square {angle:.1g} rad over {motions} motions);'
             ' the translation between them shows only in turns: drive curves and a ramp or a bank')
-    if eigenvalues[0] < _UNDETERMINED * eigenvalues[-1]:
-        x, y, z = axes[:, 0] * np.sign(axes[np.abs(axes[:, 0]).argmax(), 0])
+    if len(free):
+        x, y, z = free[0] * np.sign(free[0, np.abs(free[0]).argmax()])
         raise MotionError(
             f'the translation along ({x:.2f}, {y:.2f}, {z:.2f}) in a is not determined: all '
             f'{motions} motions turn about that axis only; drive a ramp or a bank too')
+
+
+def free_translations(turns: FloatArray, motions: int) -> tuple[FloatArray, float]:
+    """Return (K, 3) unit vectors along which t is free, and the root mean square turn, radians.
+
+    ``turns`` (3, 3) is the sum of ``(R_A - I)^T (R_A - I)``.
+    """
+    eigenvalues, axes = np.linalg.eigh(turns)
+    angle = float(np.sqrt(max(eigenvalues[-1], 0.0) / motions))
+    if angle < _NO_ROTATION:
+        return np.eye(3), angle
+    return axes[:, eigenvalues < _UNDETERMINED * eigenvalues[-1]].T, angle
+
+
+def hold(G: FloatArray, motions: int, config: CalibrationConfig) -> FloatArray:
+    """Return a (13, 13) form that holds what the motion leaves free at the prior, or at zero.
+
+    It is zero where the motion determines everything and nothing else was allowed.
+
+    Raises
+    ------
+    MotionError
+        A translation is free that no prior covers, and ``allow_unobserved`` is off.
+
+    """
+    held = np.zeros((13, 13))
+    held[9:, 9:] = hold_translation(G[9:12, 9:12], motions, config)
+    if holds_rotation(config):
+        R = config.prior.rotation
+        rows = np.column_stack([np.eye(9), np.zeros((9, 3)), -R.reshape(9)])
+        held += _HOLD * float(np.trace(G[:9, :9])) / 9 * rows.T @ rows
+    return held
+
+
+def hold_translation(
+    turns: FloatArray, motions: int, config: CalibrationConfig,
+) -> FloatArray:
+    """Return the (4, 4) part of ``hold`` in (t, 1); raises as ``hold``."""
+    prior = config.prior
+    free, _ = free_translations(turns, motions)
+    covered = all(
+        prior.translation_std_along(axis) <= config.unobserved_translation for axis in free)
+    if not (covered or config.allow_unobserved):
+        G = np.zeros((13, 13))
+        G[9:12, 9:12] = turns
+        require_translation(G, motions)
+    weight = max(float(np.linalg.eigvalsh(turns)[-1]), _NO_ROTATION**2 * motions)
+    rows = np.column_stack([free, -free @ prior.translation])
+    held: FloatArray = weight * rows.T @ rows
+    return held
+
+
+def holds_rotation(config: CalibrationConfig) -> bool:
+    """Return whether a rotation that the motion leaves free has a place to be held at."""
+    return config.allow_unobserved or bool(np.isfinite(config.prior.rotation_std).any())
 
 
 def minimise(G: FloatArray, starts: FloatArray | None = None) -> Minimum:
@@ -218,14 +277,16 @@ def require_rotation(G: FloatArray, T_a_b: FloatArray) -> None:
 
 
 def polish(T_a_b: FloatArray, motions: MotionPairs, rows: slice = slice(0, 12),
-           weights: FloatArray | None = None) -> FloatArray:
-    """Take one Gauss-Newton step on the residuals themselves.
+           weights: FloatArray | None = None, held: FloatArray | None = None) -> FloatArray:
+    """Take one Gauss-Newton step on the residuals themselves, and on the form ``held``.
 
     A Gram matrix squares the condition of the problem; one step on the true residuals gives back
     the digits, which is what lets noise-free data be recovered to machine precision.
     """
     J, v = tangent_basis(T_a_b), monomials(T_a_b)
     H, g = np.zeros((6, 6)), np.zeros(6)
+    if held is not None:
+        H, g = J.T @ held @ J, J.T @ (held @ v)
     for start in range(0, len(motions), CHUNK):
         part = slice(start, start + CHUNK)
         E = equations(motions.A[part], motions.B[part])[:, rows]

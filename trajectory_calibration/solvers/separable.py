@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration import se3
+from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers import linear
+from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
 # The second largest singular value of the aligned rotation vectors, relative to the largest,
@@ -16,18 +17,21 @@ from trajectory_calibration.solvers.solution import Solution
 _SINGLE_AXIS = 1e-9
 
 
-def solve_separable(motions: MotionPairs) -> Solution:
+def solve_separable(
+    motions: MotionPairs, config: CalibrationConfig | None = None,
+) -> Solution:
     """Align the rotation vectors, then solve for the translation.
 
     The cost of the solution is the sum of squared residuals of the translation, m^2.
     """
-    R_a_b = align_rotation_vectors(motions)
-    t, cost = solve_translation(R_a_b, motions)
+    config = config or CalibrationConfig()
+    R_a_b = align_rotation_vectors(motions, config)
+    t, cost = solve_translation(R_a_b, motions, config)
     return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
                     linearise=linear.separable)
 
 
-def align_rotation_vectors(motions: MotionPairs) -> FloatArray:
+def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> FloatArray:
     """Return the (3, 3) rotation R that minimises ``sum |phi_A - R phi_B|^2``.
 
     Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
@@ -36,25 +40,35 @@ def align_rotation_vectors(motions: MotionPairs) -> FloatArray:
     Raises
     ------
     MotionError
-        The sensors did not turn, or turned about one axis only.
+        The sensors did not turn, or turned about one axis only, and no prior of the rotation
+        nor ``allow_unobserved`` says what the rest should be.
 
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
     U, singular, Vt = np.linalg.svd(covariance)
-    _require_two_axes(singular, U, len(motions))
+    if quadratic.holds_rotation(config):
+        # A nudge: it decides what the rotations leave open and nothing else.
+        nudge = max(float(singular[0]), np.finfo(float).tiny) * _SINGLE_AXIS
+        U, _, Vt = np.linalg.svd(covariance + nudge * config.prior.rotation)
+    else:
+        _require_two_axes(singular, U, len(motions))
     sign = np.sign(np.linalg.det(U @ Vt))
     rotation: FloatArray = U @ np.diag([1.0, 1.0, sign]) @ Vt
     return rotation
 
 
-def solve_translation(R_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, float]:
+def solve_translation(
+    R_a_b: FloatArray, motions: MotionPairs, config: CalibrationConfig,
+) -> tuple[FloatArray, float]:
     """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2."""
     D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)
     # The normal equations: D is well conditioned wherever the rotation was accepted, and a
     # 3 x 3 product costs a tenth of an orthogonal factorisation of all rows.
-    t = np.linalg.solve(D.T @ D, D.T @ right)
+    turns = D.T @ D
+    held = quadratic.hold_translation(turns, len(motions), config)
+    t = np.linalg.solve(turns + held[:3, :3], D.T @ right - held[:3, 3])
     return t, float(np.sum((D @ t - right) ** 2))
 
 

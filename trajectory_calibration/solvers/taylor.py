@@ -16,5 +16,4 @@ from trajectory_calibration.solvers.solution import Solution
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic; raises MotionError for rotation about fewer than two axes."""
-    del config  # nothing to set
-    return solve_separable(motions)
+    return solve_separable(motions, config)

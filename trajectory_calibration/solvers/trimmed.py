@@ -60,6 +60,7 @@ class TrimmedCost:
     features : (M, 91), coefficients of ``|M|^2`` in the products v_i v_j, i <= j.
     c : cost of rejecting a motion.
     least : the least sum of weights, d M.
+    held : (13, 13) form that is added to every Gram matrix, see ``quadratic.hold``.
 
     """
 
@@ -72,13 +73,14 @@ class TrimmedCost:
             self.features[part] = G[:, UPPER[0], UPPER[1]] * _TWICE
         self.c = c
         self.least = min_inliers * len(motions)
+        self.held = np.zeros((13, 13))
 
     def gram(self, weights: FloatArray) -> FloatArray:
         """Return the (S, 13, 13) Gram matrices of (M, S) weights."""
         G = np.zeros((weights.shape[1], 13, 13))
         G[:, UPPER[0], UPPER[1]] = (weights.T @ self.features) / _TWICE
         G[:, UPPER[1], UPPER[0]] = G[:, UPPER[0], UPPER[1]]
-        return G
+        return G + self.held
 
     def squares(self, T_a_b: FloatArray) -> FloatArray:
         """Return ``|M|^2`` (M, S) for (S, 4, 4) extrinsics."""

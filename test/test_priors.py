@@ -1,0 +1,156 @@
+"""What is known beforehand enters as one more residual, and nothing else changes."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from trajectory_calibration import calibrate, CalibrationConfig, ConfigError, MotionError, se3
+from trajectory_calibration.priors import apply_prior, parse_prior
+from trajectory_calibration.simulation import (
+    flat,
+    Noise,
+    Scenario,
+    SCENARIOS,
+    simulate,
+    Unicycle,
+    with_noise,
+)
+
+FLAT = Scenario(motion=Unicycle(ground=flat))
+NOISY_FLAT = with_noise(FLAT, *[Noise(white=0.002, white_rotation=0.001)] * 2)
+
+
+def run_with(scenario, seed, **settings):
+    run = simulate(scenario, seed)
+    return calibrate(run.a, run.b, CalibrationConfig(**settings)), run.T_a_b
+
+
+def rpy(T):
+    R = T[:3, :3]
+    return np.rad2deg([np.arctan2(R[2, 1], R[2, 2]), np.arcsin(-R[2, 0]),
+                       np.arctan2(R[1, 0], R[0, 0])])
+
+
+def text(values):
+    return ','.join(f'{value:.12f}' for value in values)
+
+
+def test_reading():
+    prior = parse_prior('0.3, -, 0.1', '0.01,-,0', '90,0,0', '1,-,2')
+    np.testing.assert_array_equal(prior.std[:3], [0.01, np.inf, 0.0])
+    np.testing.assert_allclose(np.rad2deg(prior.std[3:]), [1.0, np.inf, 2.0])
+    np.testing.assert_allclose(prior.rotation @ [0, 1, 0], [0, 0, 1], atol=1e-15)
+    assert prior.given
+    assert not parse_prior('', '', '', '').given
+
+
+def test_one_number_stands_for_all_that_are_given():
+    np.testing.assert_array_equal(
+        parse_prior('0.3,-,0.1', '0.02', '', '').translation_std, [0.02, np.inf, 0.02])
+
+
+@pytest.mark.parametrize('values', [
+    ('0.3,0.1', '0.1', '', ''), ('a,b,c', '0.1', '', ''), ('0.3,0,0', '', '', ''),
+    ('', '0.1', '', ''), ('0.3,0,nan', '0.1', '', ''), ('0.3,0,0', '-0.1', '', ''),
+    ('0.3,0,0', '0.1,-,0.1', '', ''), ('-,0,0', '0.1,0.1,0.1', '', ''),
+    ('', '', '0,-,0', '1'), ('', '', '0,0,0', ''), ('', '', '1', '1'),
+])
+def test_mistakes_are_named(values):
+    names = ('prior_translation', 'prior_translation_std', 'prior_rotation', 'prior_rotation_std')
+    with pytest.raises(ConfigError, match=r'prior_(translation|rotation)'):
+        CalibrationConfig(**dict(zip(names, values, strict=True)))
+
+
+def test_is_the_minimum_of_both_costs():
+    """Of all extrinsics near the answer, none has a lower sum of the two quadratic costs."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(6, 6)) * np.repeat([0.02, 0.01], 3)[:, None]
+    covariance = root @ root.T
+    T = se3.exp_se3(rng.normal(size=6))
+    truth = T @ se3.exp_se3(0.02 * rng.normal(size=6))
+    prior = parse_prior(text(truth[:3, 3]), '0.01,0.02,0.03', text(rpy(truth)), '1,2,-')
+    found, posterior = apply_prior(T, covariance, prior)
+
+    def cost(step):
+        moved = se3.from_rotation_translation(
+            se3.exp_so3(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
+        known = np.isfinite(prior.std)
+        return (step @ np.linalg.solve(covariance, step)
+                + np.sum((prior.deviation(moved)[known] / prior.std[known])**2))
+
+    best = minimize(cost, np.zeros(6), method='BFGS', options={'gtol': 1e-9})
+    step = np.concatenate([found[:3, 3] - T[:3, 3], se3.log_so3(found[:3, :3] @ T[:3, :3].T)])
+    assert cost(step) <= best.fun * (1 + 1e-9)
+    np.testing.assert_allclose(step, best.x, atol=1e-3 * np.abs(best.x).max())
+    information = np.linalg.inv(covariance) + np.diag(1 / prior.std**2)
+    np.testing.assert_allclose(posterior, np.linalg.inv(information), atol=5e-6)
+
+
+def test_none_changes_nothing():
+    T = se3.exp_se3(np.arange(6.0))
+    found, covariance = apply_prior(T, np.eye(6), parse_prior('', '', '', ''))
+    assert found is T
+    np.testing.assert_array_equal(covariance, np.eye(6))
+
+
+@pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'ali', 'park', 'taylor', 'zhuang',
+                                    'drift_aware'])
+def test_a_fixed_component_is_exact(solver):
+    found, truth = run_with(SCENARIOS['noise'], 2, solver=solver, dnlo_method='path',
+                            prior_translation=f'-,{simulate(SCENARIOS["noise"], 2).T_a_b[1, 3]},-',
+                            prior_translation_std='0')
+    assert found.T_a_b[1, 3] == pytest.approx(truth[1, 3], abs=1e-9)
+    assert found.covariance[1, 1] < 1e-15
+    assert found.observability.status['y'] == 'prior'
+
+
+def test_a_fixed_rotation_is_exact():
+    truth = simulate(SCENARIOS['noise'], 2).T_a_b
+    found, _ = run_with(SCENARIOS['noise'], 2, solver='dnl', prior_rotation=text(rpy(truth)),
+                        prior_rotation_std='0')
+    assert found.absolute_errors(truth).e_aR < 1e-9
+
+
+def test_a_tape_measure_closes_what_flat_ground_leaves_open():
+    for seed in range(10):
+        height = simulate(NOISY_FLAT, seed).T_a_b[2, 3]
+        found, truth = run_with(NOISY_FLAT, seed, solver='dnl',
+                                prior_translation=f'-,-,{height + 0.01}',
+                                prior_translation_std='0.02')
+        assert found.observability.unobserved == ()
+        assert found.observability.status['z'] == 'prior'
+        assert found.observability.status['x'] == 'observed'
+        assert found.absolute_errors(truth).e_at < 0.03
+
+
+@pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'ali'])
+def test_exactly_flat_ground_needs_nothing_but_the_height(solver):
+    height = simulate(FLAT, 4).T_a_b[2, 3]
+    found, truth = run_with(FLAT, 4, solver=solver, prior_translation=f'-,-,{height}',
+                            prior_translation_std='0.01')
+    assert found.absolute_errors(truth).e_at < 1e-8
+    with pytest.raises(MotionError, match='not determined'):
+        run_with(FLAT, 4, solver=solver, prior_translation='0.1,-,-',
+                 prior_translation_std='0.01')
+
+
+def test_a_separable_solver_takes_the_heading_from_a_prior():
+    truth = simulate(FLAT, 4).T_a_b
+    found, _ = run_with(
+        FLAT, 4, solver='park', prior_translation=text(truth[:3, 3]), prior_translation_std='0.01',
+        prior_rotation=text(rpy(truth)), prior_rotation_std='0.1')
+    assert found.absolute_errors(truth).e_aR < np.deg2rad(0.1)
+    assert found.observability.status['rotation z'] == 'prior'
+
+
+def test_a_prior_far_from_the_motion_is_refused():
+    with pytest.raises(ConfigError, match='prior turns the answer'):
+        run_with(SCENARIOS['noise'], 2, solver='dnl', prior_rotation='0,0,0',
+                 prior_rotation_std='0.01')
+
+
+def test_a_weak_prior_counts_little():
+    free, _ = run_with(SCENARIOS['drone'], 2, solver='dnl')
+    held, _ = run_with(SCENARIOS['drone'], 2, solver='dnl', prior_translation='0,0,0',
+                       prior_translation_std='10')
+    np.testing.assert_allclose(held.T_a_b, free.T_a_b, atol=1e-5)

@@ -1,0 +1,180 @@
+"""What is known of the extrinsic beforehand: a tape measure, a drawing, a mounting plate.
+
+A prior is written as text, so that a ROS parameter and a command line can hold it:
+``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``; a ``-`` leaves a
+component open, one number stands for all three, and a standard deviation of 0 fixes a component.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.se3 import FloatArray
+
+_OPEN = '-'
+
+# A fixed component: small enough to be exact, large enough to divide by.
+_FIXED = 1e-12
+
+# The correction of an answer by a prior is linear in the rotation up to about this, degrees.
+_LARGEST_TURN_DEG = 15.0
+
+_MAX_UPDATES = 20
+_SETTLED = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A normal distribution of the extrinsic; components that are open have infinite width.
+
+    Attributes
+    ----------
+    translation : (3,), metres, of b in a; zero where open.
+    translation_std : (3,), metres.
+    rotation : (3, 3), of b in a.
+    rotation_std : (3,), radians, about the fixed axes x, y, z of a.
+
+    """
+
+    translation: FloatArray
+    translation_std: FloatArray
+    rotation: FloatArray
+    rotation_std: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Return (6,) standard deviations in the order of the covariance."""
+        return np.concatenate([self.translation_std, self.rotation_std])
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is known beforehand."""
+        return bool(np.isfinite(self.std).any())
+
+    def deviation(self, T_a_b: FloatArray) -> FloatArray:
+        """Return (6,) the step from an extrinsic to the prior."""
+        turn = se3.log_so3(self.rotation @ T_a_b[:3, :3].T)
+        return np.concatenate([self.translation - T_a_b[:3, 3], turn])
+
+    def translation_std_along(self, axis: FloatArray) -> float:
+        """Return how well, in metres, a shift along a (3,) unit vector in a is known."""
+        return float(1.0 / np.sqrt(max(
+            np.sum((axis / np.maximum(self.translation_std, _FIXED))**2), 1e-300)))
+
+
+def parse_prior(
+    translation: str, translation_std: str, rotation_rpy_deg: str, rotation_std_deg: str,
+) -> Prior:
+    """Read a prior from the four settings; an empty text gives none.
+
+    Raises
+    ------
+    ConfigError
+        Text that is not three numbers, a value without a standard deviation or the reverse.
+
+    """
+    t, t_std = _component('prior_translation', translation, translation_std)
+    angles, angle_std = _component('prior_rotation', rotation_rpy_deg, rotation_std_deg)
+    if np.isfinite(angle_std).any() and np.isnan(angles).any():
+        raise ConfigError(
+            f'prior_rotation is {rotation_rpy_deg!r}, needed roll, pitch and yaw: they mean '
+            'nothing one without the other; open an axis in prior_rotation_std')
+    roll, pitch, yaw = (
+        se3.exp_so3(np.deg2rad(angle) * axis)
+        for angle, axis in zip(np.nan_to_num(angles), np.eye(3), strict=True))
+    return Prior(np.nan_to_num(t), t_std, yaw @ pitch @ roll, np.deg2rad(angle_std))
+
+
+def apply_prior(
+    T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
+) -> tuple[FloatArray, FloatArray]:
+    """Add the prior as one more residual to an answer with its covariance.
+
+    The answer of a solver and its (6, 6) covariance say what the motion knows; the most likely
+    extrinsic under both is a least-squares problem in six unknowns. It is iterated in the
+    rotation (iterated Kalman update), linear in everything else.
+
+    Raises
+    ------
+    ConfigError
+        The prior turns the answer too far for the covariance to hold there.
+
+    """
+    if not prior.given:
+        return T_a_b, covariance
+    known = np.isfinite(prior.std)
+    noise = np.diag(np.maximum(prior.std[known], _FIXED)**2)
+    step = np.zeros(6)
+    for _ in range(_MAX_UPDATES):
+        deviation = prior.deviation(_moved(T_a_b, step))
+        observe = _observation(deviation, step)[known]
+        gain = covariance @ observe.T @ np.linalg.inv(observe @ covariance @ observe.T + noise)
+        following = gain @ (deviation[known] + observe @ step)
+        settled = np.abs(following - step).max() < _SETTLED
+        step = following
+        if settled:
+            break
+    turn = float(np.rad2deg(np.linalg.norm(step[3:])))
+    if turn > _LARGEST_TURN_DEG:
+        raise ConfigError(
+            f'the prior turns the answer of the motion by {turn:.0f} degrees, needed less than '
+            f'{_LARGEST_TURN_DEG:.0f}; check prior_rotation (roll, pitch, yaw of b in a, '
+            'degrees), or use solver dnl')
+    rest = np.eye(6) - gain @ observe
+    # Joseph's form stays symmetric and positive.
+    posterior = rest @ covariance @ rest.T + gain @ noise @ gain.T
+    return _moved(T_a_b, step), 0.5 * (posterior + posterior.T)
+
+
+def _observation(deviation: FloatArray, step: FloatArray) -> FloatArray:
+    """Return (6, 6): how the deviation from the prior shrinks with a further step."""
+    result = np.eye(6)
+    # exp(d) = R_prior R^T exp(-step); the right Jacobian is the left one transposed.
+    result[3:, 3:] = (se3.left_jacobian_so3_inverse(deviation[3:]).T
+                      @ se3.left_jacobian_so3(step[3:]))
+    return result
+
+
+def _moved(T_a_b: FloatArray, step: FloatArray) -> FloatArray:
+    return se3.from_rotation_translation(
+        se3.exp_so3(step[3:]) @ T_a_b[:3, :3], T_a_b[:3, 3] + step[:3])
+
+
+def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
+    """Return (3,) values, NaN where open, and (3,) widths, infinite where open."""
+    if not values.strip() and not std.strip():
+        return np.full(3, np.nan), np.full(3, np.inf)
+    if not (values.strip() and std.strip()):
+        missing = name if std.strip() else f'{name}_std'
+        raise ConfigError(f'{missing} is empty; {name} and {name}_std are needed together')
+    value = _three(name, values)
+    width = _three(f'{name}_std', std)
+    if len(std.split(',')) == 1:
+        width = np.where(np.isnan(value), np.nan, width)
+    if (np.isnan(width) & ~np.isnan(value)).any() and name == 'prior_translation':
+        raise ConfigError(f'{name}_std is {std!r}, needed a number for each one of {values!r}')
+    if (np.isnan(value) & ~np.isnan(width)).any():
+        raise ConfigError(f'{name} is {values!r}, needed a number for each one of {std!r}')
+    if (width < 0).any():
+        raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
+    return value, np.where(np.isnan(width), np.inf, width)
+
+
+def _three(name: str, text: str) -> FloatArray:
+    parts = [part.strip() for part in text.split(',')]
+    if len(parts) == 1 and name.endswith('_std'):
+        parts = parts * 3
+    try:
+        values = np.array([np.nan if part == _OPEN else float(part) for part in parts])
+        valid = len(values) == 3 and np.isfinite(values[[part != _OPEN for part in parts]]).all()
+    except ValueError:
+        valid = False
+    if not valid:
+        raise ConfigError(
+            f'{name} is {text!r}, needed three numbers with commas, "-" for an open one, such as '
+            '0.3,-,0.1')
+    return values
