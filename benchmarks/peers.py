@@ -37,6 +37,10 @@ OURS = ('park', 'zhuang', 'dnl', 'dnlo', 'drift_aware')
 PACKAGES = {'cv2': 'opencv-python-headless', 'kinhec': 'kinhec'}
 SIMULATED_RUNS = 38
 
+# What dnlo takes for an outlier, in the units of kinhec: a residual of sqrt(c), metres or radians.
+LIMITS = {'rot_thresh_deg': np.rad2deg(SETTINGS['dnlo_c']**0.5),
+          'trans_thresh_mm': 1e3 * SETTINGS['dnlo_c']**0.5}
+
 
 def own_methods():
     """Return our solvers by name, as functions of the motions."""
@@ -73,12 +77,13 @@ def kinhec_methods():
         return lambda motions: solvers.refine_lm(
             motions.A, motions.B, solvers.park_martin(motions.A, motions.B), loss=loss)
 
-    def ransac(motions):
-        return solvers.ransac_axxb(motions.A, motions.B, np.random.default_rng(0))[0]
+    def ransac(**limits):
+        return lambda motions: solvers.ransac_axxb(
+            motions.A, motions.B, np.random.default_rng(0), **limits)[0]
 
     found = {f'kinhec {name}': plain(solve) for name, solve in solvers.AXXB_SOLVERS.items()}
     return found | {'kinhec LM': refined('linear'), 'kinhec Cauchy LM': refined('cauchy'),
-                    'kinhec RANSAC': ransac}
+                    'kinhec RANSAC': ransac(), 'kinhec RANSAC, limits of dnlo': ransac(**LIMITS)}
 
 
 def methods():

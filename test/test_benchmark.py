@@ -1,6 +1,7 @@
 """``benchmark paper``: what it computes, what it writes, and that it continues."""
 
 import csv
+from dataclasses import replace
 import sys
 import xml.etree.ElementTree as ET
 
@@ -11,6 +12,7 @@ import pytest
 pytest.importorskip('joblib', reason='joblib is not installed')
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
 
+from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.benchmark.claims import FAILS, HOLDS, judge, OPEN, PARTLY
 from trajectory_calibration.benchmark.comparison import compare_runs, compare_with_quartiles
 from trajectory_calibration.benchmark.executor import Executor
@@ -23,6 +25,7 @@ from trajectory_calibration.benchmark.published import (
     simulation_quartiles,
     simulation_runs,
 )
+from trajectory_calibration.benchmark.repeat import BagRecord, scatter
 from trajectory_calibration.benchmark.statistics import group, mean_interval, summarise
 from trajectory_calibration.benchmark.store import COLUMNS, ResultStore
 from trajectory_calibration.benchmark.tasks import (
@@ -36,7 +39,15 @@ from trajectory_calibration.benchmark.tasks import (
     simulated_tasks,
     Task,
 )
-from trajectory_calibration.errors import ConfigError, ResultError, SolverError, SourceError
+from trajectory_calibration.errors import (
+    ConfigError,
+    MotionError,
+    ResultError,
+    SolverError,
+    SourceError,
+)
+from trajectory_calibration.simulation import SCENARIOS, simulate
+from trajectory_calibration.simulation.files import write_bag
 
 QUICK = ('park', 'taylor')
 
@@ -398,3 +409,51 @@ def test_differences_from_published_runs_are_counted():
         [record('B1', 0.5001), record('B5', 0.49), record('B10', 0.51)], published)
     assert [(row.reference, row.agree, row.lower, row.higher) for row in rows] == [
         ('B1', 1, 0, 0), ('B5', 0, 1, 0), ('B10', 0, 0, 1)]
+
+
+# --- Many bags ---
+
+def write_bags(tmp_path, count):
+    """Write bags of one pair of sensors on different drives; return them and the truth."""
+    truth = simulate(SCENARIOS['drone'], 0).T_a_b
+    bags = []
+    for seed in range(count):
+        pair = simulate(replace(SCENARIOS['drone'], duration=20.0), seed)
+        # The sensors of every drive are mounted like those of the first.
+        moved = pair.b.poses @ se3.inverse(pair.T_a_b) @ truth
+        b = Trajectory(pair.b.stamps_ns, moved, 'camera_map', 'camera')
+        bags.append(tmp_path / f'bag_{seed}')
+        write_bag(bags[-1], {'/a': pair.a, '/b': b})
+    return bags, truth
+
+
+def test_bags_are_calibrated_each_by_itself(tmp_path, capsys):
+    bags, truth = write_bags(tmp_path, 4)
+    (tmp_path / 'empty').mkdir()
+    status, out, err = run(
+        capsys, 'benchmark', 'repeat', '/a', '/b', *bags, tmp_path / 'empty', '--jobs', '2',
+        '--solver', 'park', '--reference', 'B10')
+    assert status == 0
+    rows = list(csv.DictReader(out.splitlines()))
+    assert [row['bag'] for row in rows] == [*map(str, bags), str(tmp_path / 'empty')]
+    assert [bool(row['note']) for row in rows] == [False] * 4 + [True]
+    for row in rows[:4]:
+        found = [float(row[name]) for name in ('x_m', 'y_m', 'z_m')]
+        np.testing.assert_allclose(found, truth[:3, 3], atol=0.1)
+    assert '4 of 5 bags' in err
+
+
+def test_scatter_is_the_spread_about_the_mean():
+    rng = np.random.default_rng(7)
+    mean = se3.exp_se3([0.3, -0.1, 0.2, 0.5, 1.0, -0.5])
+    records = []
+    for k in range(300):
+        R = se3.exp_so3(rng.normal(0, np.deg2rad([0.1, 0.2, 0.4]))) @ mean[:3, :3]
+        t = mean[:3, 3] + rng.normal(0, [0.01, 0.02, 0.04])
+        records.append(BagRecord(str(k), *t, *se3.rotation_to_quaternion(R)))
+    found = scatter(records)
+    np.testing.assert_allclose(found.std_m, [0.01, 0.02, 0.04], rtol=0.15)
+    np.testing.assert_allclose(found.std_deg, [0.1, 0.2, 0.4], rtol=0.15)
+    np.testing.assert_allclose(found.T_a_b, mean, atol=0.01)
+    with pytest.raises(MotionError, match='at least 2'):
+        scatter([records[0], BagRecord('lost', note='no topic')])
