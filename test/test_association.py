@@ -122,6 +122,29 @@ def test_coinciding_stamps_need_no_neighbours():
     assert len(pairs) == 20
 
 
+def test_auto_keeps_to_coinciding_stamps_where_most_coincide():
+    """Two keyframe lists of one 10 Hz trigger: half a millisecond apart, or a frame apart."""
+    frames = stamps(400)
+    rng = np.random.default_rng(7)
+    t_a = frames[np.sort(rng.choice(400, 300, replace=False))]
+    t_b = frames[np.sort(rng.choice(400, 300, replace=False))] + MS // 2
+    a, b = Trajectory(t_a, helix(t_a, np.eye(4))), Trajectory(t_b, helix(t_b, np.eye(4)))
+    pairs = associate(a, b)
+    assert pairs.summary.max_difference_s < 1e-3
+    assert len(pairs) == np.isin(t_b - MS // 2, t_a).sum() - pairs.summary.outside
+    assert pairs.summary.between > 0
+    everywhere = associate(a, b, method='interpolate')
+    assert len(everywhere) == len(pairs) + pairs.summary.between
+    np.testing.assert_allclose(pairs.poses_a, pairs.poses_b, atol=1e-6)
+
+
+def test_auto_interpolates_where_few_coincide():
+    t_a, t_b = stamps(100), stamps(300, step_ns=33_333_333) + 13 * MS
+    a, b = Trajectory(t_a, helix(t_a, np.eye(4))), Trajectory(t_b, helix(t_b, np.eye(4)))
+    assert associate(a, b).summary == associate(a, b, method='interpolate').summary
+    assert associate(a, b).summary.between == 0
+
+
 def test_no_overlap_names_the_ends_and_the_offset():
     rng = np.random.default_rng(5)
     a, b = sensor_pair(rng, random_pose(rng))

@@ -47,7 +47,8 @@ def test_a_default_is_what_the_paper_says():
     ({'max_gap': '0.5'}, "max_gap is '0.5', needed a value of type float"),
     ({'max_gap': True}, 'max_gap is True, needed a value of type float'),
     ({'dnlo_min_inliers': 1.5}, 'dnlo_min_inliers is 1.5, needed 0 to 1'),
-    ({'association': 'closest'}, 'needed one of interpolate, nearest'),
+    ({'association': 'closest'}, 'needed one of auto, interpolate, nearest'),
+    ({'solver': 'dnl', 'scale_mode': 'estimate'}, 'scale_mode is estimate, which dnl cannot'),
     ({'max_gab': 1.0}, "setting 'max_gab' is unknown; known are solver, reference"),
 ])
 def test_wrong_settings_are_refused_with_the_right_ones(values, message):
@@ -57,6 +58,38 @@ def test_wrong_settings_are_refused_with_the_right_ones(values, message):
 
 def test_an_integer_serves_where_a_number_is_meant():
     assert CalibrationConfig(max_gap=2).max_gap == 2.0
+
+
+def test_a_value_that_is_given_is_known():
+    assert CalibrationConfig().mode('time_offset') == 'auto'
+    assert CalibrationConfig(time_offset=0.1).mode('time_offset') == 'fixed'
+    assert CalibrationConfig(time_offset=0.1, time_offset_mode='estimate').mode(
+        'time_offset') == 'estimate'
+    assert CalibrationConfig(scale=0.98).mode('scale') == 'fixed'
+    assert CalibrationConfig().mode('systematic_drift') == 'auto'
+
+
+def test_a_given_scale_multiplies_b():
+    rng = np.random.default_rng(2)
+    X = random_pose(rng)
+    a, b = sensor_pair(rng, X)
+    small = b.scaled(0.5)
+    assert b.scaled(1.0) is b
+    result = calibrate(a, small, CalibrationConfig(solver='dnl', scale=2.0))
+    assert result.absolute_errors(X).e_at < 1e-9
+    assert result.scale == 2.0
+
+
+def test_a_clock_offset_is_found_and_said():
+    rng = np.random.default_rng(3)
+    X = random_pose(rng)
+    a, b = sensor_pair(rng, X)
+    late = Trajectory(b.stamps_ns - 1_200_000_000, b.poses, 'map_b', 'camera')
+    result = calibrate(a, late, CalibrationConfig(solver='dnl'))
+    assert result.time_offset_s == pytest.approx(1.2, abs=0.005)
+    assert any('clock offset +1' in warning for warning in result.warnings)
+    assert calibrate(a, late, CalibrationConfig(
+        solver='dnl', time_offset_mode='fixed')).time_offset_s == 0
 
 
 def test_config_round_trips():

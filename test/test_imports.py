@@ -17,7 +17,7 @@ FLOW = (
     ('errors', 'version'),
     ('se3',),
     ('trajectory',),
-    ('sources', 'simulation', 'association'),
+    ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),
     ('solvers.__init__',),
     ('config',),

@@ -15,8 +15,12 @@ from trajectory_calibration.trajectory import Trajectory
 # Two relative motions need three poses; below, no solver has anything to work on.
 MIN_PAIRS = 3
 
-# Stamps closer than this are one instant: hardware triggers and rounding to microseconds.
+# Stamps closer than this are one instant: rounding to microseconds.
 COINCIDENCE_NS = 1_000_000
+
+# 'auto' keeps to poses of b this near to a pose of a where this share of them is.
+_NEAR_NS = 10_000_000
+_NEAR_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class AssociationSummary:
     pairs : pairs that were formed.
     outside : poses of b before the first or after the last pose of a.
     in_gaps : poses of b inside the span of a without a pose of a near enough.
+    between : poses of b that were left out because the others coincide with poses of a.
     median_difference_s, max_difference_s : time between a pose of b and the nearest pose of a
         over the pairs.
 
@@ -43,6 +48,7 @@ class AssociationSummary:
     pairs: int
     outside: int
     in_gaps: int
+    between: int
     median_difference_s: float
     max_difference_s: float
 
@@ -73,7 +79,7 @@ def associate(
     a: Trajectory,
     b: Trajectory,
     *,
-    method: str = 'interpolate',
+    method: str = 'auto',
     max_difference_ns: int = 20_000_000,
     max_gap_ns: int = 500_000_000,
     time_offset_ns: int = 0,
@@ -84,8 +90,10 @@ def associate(
     ----------
     a, b : Trajectory
         The parent and the child sensor.
-    method : 'interpolate' or 'nearest'
-        ``associate_by_interpolation`` or ``associate_nearest``.
+    method : 'auto', 'interpolate' or 'nearest'
+        ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates, but where
+        at least half of the poses of b lie within 10 ms of a pose of a, only there: keyframes
+        of one trigger need no guess of what happened between two poses.
     max_difference_ns : int
         For 'nearest': the largest difference of stamps in a pair.
     max_gap_ns : int
@@ -103,7 +111,8 @@ def associate(
         return associate_nearest(
             a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
     return associate_by_interpolation(
-        a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns)
+        a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns,
+        prefer_near=method == 'auto')
 
 
 def associate_nearest(
@@ -139,6 +148,7 @@ def associate_by_interpolation(
     max_gap_ns: int | None,
     time_offset_ns: int = 0,
     extrapolate: bool = False,
+    prefer_near: bool = False,
 ) -> PosePairs:
     """Evaluate a at the stamps of b on the se(3) geodesic between its neighbouring poses.
 
@@ -146,8 +156,9 @@ def associate_by_interpolation(
     any gap), because a vehicle does not hold its twist over seconds. A pose of b that
     coincides with one of a needs no neighbour and is kept whatever the gap.
 
-    ``extrapolate`` continues the first and the last twist of a beyond its ends. It exists to
-    repeat the protocol of published tables and is wrong for anything else.
+    ``prefer_near`` keeps to the poses of b within 10 ms of one of a where these are at least
+    half of all. ``extrapolate`` continues the first and the last twist of a beyond its ends. It
+    exists to repeat the protocol of published tables and is wrong for anything else.
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame)
@@ -159,12 +170,19 @@ def associate_by_interpolation(
     to_nearest = np.minimum(np.abs(since_left), np.abs(gap - since_left))
     bridged = np.ones(len(b), bool) if max_gap_ns is None else gap <= max_gap_ns
     bridged |= to_nearest <= COINCIDENCE_NS
-    j = np.flatnonzero(bridged if extrapolate else bridged & ~outside)
+    usable = bridged if extrapolate else bridged & ~outside
+    near = usable & (to_nearest <= _NEAR_NS)
+    share = np.count_nonzero(near) / max(1, np.count_nonzero(usable))
+    between = 0
+    if prefer_near and share >= _NEAR_SHARE:
+        between = int(np.count_nonzero(usable & ~near))
+        usable = near
+    j = np.flatnonzero(usable)
     fraction = since_left[j] / gap[j]
     poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], fraction)
     summary = _summarise(
         'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
-        np.count_nonzero(~outside & ~bridged))
+        np.count_nonzero(~outside & ~bridged), between)
     _require_pairs(summary, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer than '
                    f'{(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or swap '
                    'the two trajectories')
@@ -213,6 +231,7 @@ def _summarise(
     time_offset_ns: int,
     outside: int | np.intp,
     in_gaps: int | np.intp,
+    between: int = 0,
 ) -> AssociationSummary:
     difference = np.abs(a.stamps_ns[_nearest(a.stamps_ns, stamps_b[paired])] - stamps_b[paired])
     return AssociationSummary(
@@ -223,6 +242,7 @@ def _summarise(
         pairs=len(paired),
         outside=int(outside),
         in_gaps=int(in_gaps),
+        between=between,
         median_difference_s=float(np.median(difference)) * 1e-9 if len(paired) else 0.0,
         max_difference_s=float(difference.max(initial=0)) * 1e-9,
     )

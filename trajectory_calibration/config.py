@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.motions import parse_reference, REFERENCE_HELP
+from trajectory_calibration.motions import AUTOMATIC, parse_reference, REFERENCE_HELP
 from trajectory_calibration.priors import parse_prior, Prior
 from trajectory_calibration.solvers import SOLVER_NAMES
 
@@ -62,6 +62,11 @@ def _option(default: Any, text: str, **limits: Any) -> Any:
     return field(default=default, metadata={'help': text, **limits})
 
 
+# What may become of a term that both trajectories share.
+MODES = ('fixed', 'estimate', 'auto')
+_MODES = 'fixed: taken as given; estimate: found; auto: found where the data support it'
+
+
 @dataclass(frozen=True)
 class CalibrationConfig:
     """How to calibrate. Every default of the package lives here.
@@ -76,8 +81,9 @@ class CalibrationConfig:
     solver: str = _option('dnlo', 'method that finds the extrinsic', choices=SOLVER_NAMES)
     reference: str = _option('B5', f'reference pose of each motion: {REFERENCE_HELP}')
     association: str = _option(
-        'interpolate', 'how poses of a and b are paired in time',
-        choices=('interpolate', 'nearest'))
+        'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
+        'the nearest, or (auto) interpolate, but keep to coinciding stamps where most are',
+        choices=('auto', 'interpolate', 'nearest'))
     max_gap: float = _option(
         0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)
     max_time_difference: float = _option(
@@ -85,6 +91,18 @@ class CalibrationConfig:
         minimum=0.0, maximum=3600.0)
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
+    time_offset_mode: str = _option(
+        'auto', f'{_MODES}, unless time_offset is given', choices=MODES)
+    max_time_offset: float = _option(
+        5.0, 'largest clock offset that is looked for around time_offset, seconds',
+        minimum=0.0, maximum=3600.0)
+    scale: float = _option(
+        1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
+    scale_mode: str = _option(
+        'auto', f'{_MODES}, unless scale is given; only drift_aware finds it', choices=MODES)
+    systematic_drift_mode: str = _option(
+        'auto', 'constant drift of b per metre along its axes; only drift_aware finds it: '
+        f'{_MODES}', choices=MODES)
     dnlo_c: float = _option(
         0.01, 'cost c of rejecting a motion (dnlo): squared residual beyond which it is an '
         'outlier', minimum=0.0, maximum=1e6)
@@ -120,9 +138,24 @@ class CalibrationConfig:
     def __post_init__(self) -> None:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
-        parse_reference(self.reference)
+        if self.reference != AUTOMATIC:
+            parse_reference(self.reference)
+        for term in ('scale', 'systematic_drift'):
+            if self.mode(term) == 'estimate' and self.solver != 'drift_aware':
+                raise ConfigError(
+                    f'{term}_mode is estimate, which {self.solver} cannot; use solver '
+                    'drift_aware, or set it to fixed')
         # Read now, so that a mistake shows before any data is loaded.
         _ = self.prior
+
+    def mode(self, term: str) -> str:
+        """Return 'fixed', 'estimate' or 'auto' for 'time_offset', 'scale', 'systematic_drift'.
+
+        A value that is given is known: it turns 'auto' into 'fixed'.
+        """
+        mode: str = getattr(self, f'{term}_mode')
+        given = getattr(self, term, None) != getattr(type(self), term, None)
+        return 'fixed' if mode == 'auto' and given else mode
 
     @property
     def prior(self) -> Prior:

@@ -10,6 +10,7 @@ from trajectory_calibration.observability import observe
 from trajectory_calibration.priors import apply_prior
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.synchronisation import synchronise
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.uncertainty import estimate_uncertainty
 
@@ -47,13 +48,17 @@ def calibrate(
     """
     config = config or CalibrationConfig()
     solve = load_solver(config.solver)
+    trajectory_b = trajectory_b.scaled(config.scale)
+    time_offset = synchronise(
+        trajectory_a, trajectory_b, config.time_offset, config.mode('time_offset'),
+        config.max_time_offset)
     pairs = associate(
         trajectory_a,
         trajectory_b,
         method=config.association,
         max_difference_ns=round(config.max_time_difference * 1e9),
         max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(config.time_offset * 1e9),
+        time_offset_ns=round(time_offset * 1e9),
     )
     motions = select_motions(pairs, config.reference)
     solution = solve(motions, config)
@@ -74,15 +79,26 @@ def calibrate(
         observability=observability,
         association=pairs.summary,
         config=config,
+        scale=config.scale * solution.scale,
+        time_offset_s=pairs.summary.time_offset_s + solution.time_offset_s,
+        diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
         warnings=(
             *trajectory_a.warnings,
             *trajectory_b.warnings,
             *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
+            *_offset_warning(time_offset, config.time_offset, trajectory_b),
             *solution.warnings,
             *uncertainty.warnings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
             *observability.warnings,
         ),
     )
+
+
+def _offset_warning(found_s: float, given_s: float, b: Trajectory) -> list[str]:
+    if found_s == given_s:
+        return []
+    offset = f'clock offset {1e3 * (found_s - given_s):+.1f} ms'
+    return [f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}']
 
 
 def _association_warnings(

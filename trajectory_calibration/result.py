@@ -42,7 +42,10 @@ class CalibrationResult:
     association : how the poses were paired.
     config : the settings that were used.
     warnings : sentences about the data and the answer that a person should read.
-    scale : scale of b's translations that was applied.
+    scale : metres of a per metre of b, by which b was multiplied.
+    time_offset_s : seconds that were added to the stamps of b.
+    diagnosis : the noise of the two trajectories as plain data, or None where the solver does
+        not identify it.
     version : of the package that made the result.
 
     """
@@ -60,6 +63,8 @@ class CalibrationResult:
     config: CalibrationConfig
     warnings: tuple[str, ...] = ()
     scale: float = 1.0
+    time_offset_s: float = 0.0
+    diagnosis: dict[str, Any] | None = None
     version: str = __version__
 
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
@@ -93,8 +98,9 @@ class CalibrationResult:
             'e_at_m': None if truth is None else truth.e_at,
             'e_aR_deg': None if truth is None else float(np.rad2deg(truth.e_aR)),
             'scale': self.scale,
-            'time_offset_s': self.association.time_offset_s,
+            'time_offset_s': self.time_offset_s,
             'observability': self.observability.to_dict(),
+            'diagnosis': self.diagnosis,
             'association': asdict(self.association),
             'config': self.config.to_dict(),
             'warnings': list(self.warnings),
@@ -137,6 +143,8 @@ class CalibrationResult:
                 config=CalibrationConfig.from_dict(data['config']),
                 warnings=tuple(data['warnings']),
                 scale=float(data['scale']),
+                time_offset_s=float(data['time_offset_s']),
+                diagnosis=data['diagnosis'],
                 version=str(data['package_version']),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

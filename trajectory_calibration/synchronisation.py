@@ -13,12 +13,13 @@ exteroceptive sensors", ISER 2010, doi:10.1007/978-3-642-28572-1_14.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
+from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 
@@ -38,7 +39,7 @@ _LEAST_OVERLAP = 0.3
 # Length of the motions that refine the offset, in cells and nanoseconds, and how many are used.
 _WINDOW_CELLS = 2
 _WINDOW_NS = 300_000_000
-_MAX_WINDOWS = 20_000
+_MAX_WINDOWS = 5_000
 
 # Larger rotations (radians) are left out: half a turn one way is half a turn the other way.
 _MAX_ANGLE = 2.5
@@ -47,7 +48,7 @@ _MAX_ANGLE = 2.5
 # many cells to either side; the last ones less, but not much less than a step of a: a narrower
 # one would follow the noise, which interpolation halves between two samples, and find a hill
 # where the stamps coincide.
-_POINTS = 9
+_POINTS = 7
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
 
@@ -83,6 +84,35 @@ class ClockOffset:
         """Tell whether the sensors turned together, and zero is out of the question."""
         return (self.correlation >= _LEAST_CORRELATION
                 and abs(self.seconds) > max(_SIGNIFICANT * self.std, _NEGLIGIBLE_S))
+
+
+def synchronise(
+    a: Trajectory, b: Trajectory, time_offset_s: float, mode: str, max_offset_s: float,
+) -> float:
+    """Return the seconds to add to the stamps of b.
+
+    ``mode`` is 'fixed': ``time_offset_s`` as given; 'estimate': what the turning tells, within
+    ``max_offset_s`` of it; 'auto': the same where it is significantly different.
+
+    Raises
+    ------
+    AssociationError
+        'estimate' was asked for, and the turning does not tell.
+
+    """
+    if mode == 'fixed' or max_offset_s == 0:
+        return time_offset_s
+    shift_ns = round(time_offset_s * 1e9)
+    shifted = b if shift_ns == 0 else replace(b, stamps_ns=b.stamps_ns + shift_ns)
+    found = find_clock_offset(a, shifted, max_offset_s)
+    if mode == 'estimate':
+        if found is None or found.correlation < _LEAST_CORRELATION:
+            raise AssociationError(
+                f'the clock offset within {max_offset_s:g} s cannot be told: {a.sensor_frame} and '
+                f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
+                'raise max_time_offset')
+        return time_offset_s + found.seconds
+    return time_offset_s + (found.seconds if found is not None and found.significant else 0.0)
 
 
 def find_clock_offset(

@@ -105,6 +105,15 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def scaled(self, scale: float) -> Trajectory:
+        """Return the trajectory with its distances multiplied; itself where that is one."""
+        if scale == 1.0:
+            return self
+        poses = self.poses.copy()
+        poses[:, :3, 3] *= scale
+        return Trajectory(self.stamps_ns, poses, self.world_frame, self.sensor_frame,
+                          self.warnings)
+
     @property
     def positions(self) -> FloatArray:
         """(N, 3) positions of the sensor in its world, metres."""

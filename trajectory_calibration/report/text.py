@@ -40,8 +40,8 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
         rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
-    if result.association.time_offset_s:
-        rows['time offset'] = f'{result.association.time_offset_s:.4f} s on {b}'
+    if result.time_offset_s:
+        rows['time offset'] = f'{result.time_offset_s:.4f} s on {b}'
     rows['method'] = (f'{result.config.solver}, reference {result.config.reference}, version '
                       f'{result.version}')
     lines = [f'warning: {warning}' for warning in result.warnings]

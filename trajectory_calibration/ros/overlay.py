@@ -51,7 +51,7 @@ def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Ove
         a, b, method=config.association,
         max_difference_ns=round(config.max_time_difference * 1e9),
         max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(result.association.time_offset_s * 1e9))
+        time_offset_ns=round(result.time_offset_s * 1e9))
     chosen = slice(None, None, -(-len(pairs) // _MOST_POSES))
     poses_a, poses_b = pairs.poses_a[chosen], pairs.poses_b[chosen].copy()
     poses_b[:, :3, 3] *= result.scale
