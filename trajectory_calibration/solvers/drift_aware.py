@@ -24,8 +24,6 @@ from trajectory_calibration.solvers.solution import Solution
 # Fewer pose pairs than this do not tell noise from extrinsic.
 MIN_POSES = 10
 
-AUTOMATIC = dict.fromkeys(TERM_COLUMNS, 'auto')
-
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the most likely extrinsic with its covariance.
@@ -40,8 +38,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
         Too few poses, or equations that cannot be solved.
 
     """
-    del config  # nothing to set
-    return solve_pairs(motions.pairs, AUTOMATIC)
+    return solve_pairs(motions.pairs, {term: config.mode(term) for term in TERM_COLUMNS})
 
 
 def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:

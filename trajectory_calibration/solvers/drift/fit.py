@@ -70,11 +70,14 @@ def columns_of(terms: Sequence[str]) -> IndexArray:
     return np.concatenate(parts)
 
 
-def first_noise(chain: Chain, state: State) -> Noise:
-    """Guess the noise from what the steps of both sensors differ by."""
+def first_noise(chain: Chain, state: State, white_share: float) -> Noise:
+    """Guess the noise from what the steps of both sensors differ by.
+
+    ``white_share`` of it is taken for white noise.
+    """
     steps = [linearise(chain, state, columns_of(()), first, first + 4096).walk[:, :, -1]
              for first in range(0, len(chain) - 1, 4096)]
-    return Noise.guess(chain, np.concatenate(steps))
+    return Noise.guess(chain, np.concatenate(steps), white_share)
 
 
 def fit(
@@ -98,9 +101,12 @@ def fit(
     columns = columns_of(terms)
     previous = np.inf
     trust = VarianceTrust()
+    # Three equations of translation a step, half of them for b.
+    power = 1.5 * (len(chain) - 1)
     for iteration in range(1, max_iterations + 1):
-        evaluation = _evaluate(chain, state, noise, columns)
-        step = parameter_step(evaluation, columns, state.scale)
+        evaluation = _evaluate(chain, state, noise, columns, power)
+        power = 0.5 * evaluation.position_traces
+        step = evaluation.parameter_step
         gain = abs(previous - evaluation.objective)
         previous = evaluation.objective
         deviation = np.sqrt(np.diag(evaluation.covariance))
@@ -112,45 +118,27 @@ def fit(
         noise = noise.with_jumps(evaluation.walk_squares, evaluation.walk_spread)
         noise = noise.with_log_variances(
             noise.log_variances + trust.limit(variance_step(evaluation)))
-    evaluation = _evaluate(chain, state, noise, columns)
+    evaluation = _evaluate(chain, state, noise, columns, power)
     return Fit(chain, state, noise, tuple(terms), evaluation, max_iterations, converged=False)
-
-
-def parameter_step(evaluation: Evaluation, columns: IndexArray, scale: float) -> FloatArray:
-    """Return the (m,) Gauss-Newton step, the scale freed of the bias of noisy steps.
-
-    The derivative by the scale contains the noise of b's own positions, so that its gradient
-    has the expectation ``tr(P R_b) / s`` at the truth, not zero. R_b is the half of the
-    translation noise that is taken to come from b.
-    """
-    covariance = scale_covariance(evaluation.step_covariance, evaluation, columns, scale)
-    return -covariance @ unbiased_gradient(evaluation, columns, scale)
-
-
-def unbiased_gradient(evaluation: Evaluation, columns: IndexArray, scale: float) -> FloatArray:
-    """Return the (m,) gradient, its expectation zero at the true scale."""
-    bias = np.where(columns == TERM_COLUMNS['scale'].start, _scale_bias(evaluation, scale), 0.0)
-    return evaluation.gradient - bias
 
 
 def scale_covariance(
     covariance: FloatArray, evaluation: Evaluation, columns: IndexArray, scale: float,
 ) -> FloatArray:
-    """Return a (m, m) covariance without the information that is only noise of the steps."""
+    """Return a (m, m) covariance without the information that is only noise of the steps.
+
+    Noise in the derivative by the scale adds ``T / s^2`` to its information.
+    """
     place = np.flatnonzero(columns == TERM_COLUMNS['scale'].start)
     if not len(place):
         return covariance
     column = covariance[:, place]
     variance = float(covariance[place, place][0])
     # Near nothing but noise, keep the result finite.
-    false_share = min(_scale_bias(evaluation, scale) / scale * variance, 0.7)
+    false_share = min(0.5 * evaluation.position_traces / scale**2 * variance, 0.7)
     corrected: FloatArray = covariance + column @ column.T * (
         false_share / variance / (1 - false_share))
     return corrected
-
-
-def _scale_bias(evaluation: Evaluation, scale: float) -> float:
-    return 0.5 * evaluation.position_traces / scale
 
 
 def variance_step(evaluation: Evaluation) -> FloatArray:
@@ -195,13 +183,15 @@ def _moved(
     return state.moved(parameters, bodies)
 
 
-def _evaluate(chain: Chain, state: State, noise: Noise, columns: IndexArray) -> Evaluation:
+def _evaluate(
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, power: float,
+) -> Evaluation:
     reason = None
     if np.linalg.norm(state.systematic_drift) > _LARGEST_DRIFT or state.scale <= 0:
         reason = f'scale {state.scale:.3g}, drift {np.round(state.systematic_drift, 3)} a metre'
     else:
         try:
-            evaluation = evaluate(chain, state, noise, columns)
+            evaluation = evaluate(chain, state, noise, columns, power)
         except np.linalg.LinAlgError as error:
             reason = str(error)
         else:

@@ -12,6 +12,11 @@ Its derivatives by the log variances theta_i, ``R_i = dR/dtheta_i``, are
 P the projected inverse covariance; the second is the average information of A. R. Gilmour,
 R. Thompson, B. R. Cullis, Biometrics 51(4), 1995, doi:10.2307/2533274. Both need no more than
 the solution, neighbouring blocks of the inverse, and one further solution for each variance.
+
+The scale s of b needs one more term. It multiplies noisy positions, so that least squares, and
+the variances with it, would rather shrink the noise than explain it. The density of what b
+reported, not of what s makes of it, has the factor ``s^T``: T is half the number of equations
+that noise of translation leaves over, because half of that noise is taken to come from b.
 """
 
 from __future__ import annotations
@@ -29,6 +34,7 @@ from trajectory_calibration.solvers.drift.model import (
     Linearisation,
     linearise,
     State,
+    TERM_COLUMNS,
 )
 from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
 
@@ -52,7 +58,6 @@ class Evaluation:
     covariance : (m, m), of the global parameters; along a direction that the data leave free the
         variance is ``FREE_VARIANCE``.
     step_covariance : (m, m), the same with no variance along such directions: nothing moves there.
-    gradient : (m,), of half the quadratic form by the global parameters.
     parameter_step : (m,), the Gauss-Newton step of the global parameters.
     body_response : (N, 6, m + 1), the step of the bodies is ``-(last column + rest @ step)``.
     walk_squares, walk_spread : (N - 1, 2), of the expected walk of each step, translation and
@@ -66,7 +71,6 @@ class Evaluation:
     objective: float
     covariance: FloatArray
     step_covariance: FloatArray
-    gradient: FloatArray
     parameter_step: FloatArray
     body_response: FloatArray
     walk_squares: FloatArray
@@ -77,8 +81,12 @@ class Evaluation:
     contributions: FloatArray
 
 
-def evaluate(chain: Chain, state: State, noise: Noise, columns: IndexArray) -> Evaluation:
+def evaluate(
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float = 0.0,
+) -> Evaluation:
     """Evaluate the likelihood; ``columns`` are the global parameters that are estimated.
+
+    ``scale_power`` is the T above, half the ``position_traces`` of an evaluation nearby.
 
     Raises
     ------
@@ -86,7 +94,7 @@ def evaluate(chain: Chain, state: State, noise: Noise, columns: IndexArray) -> E
         The normal equations are not positive definite.
 
     """
-    return _Evaluator(chain, state, noise, columns).run()
+    return _Evaluator(chain, state, noise, columns, scale_power).run()
 
 
 def invert_information(
@@ -113,7 +121,11 @@ def invert_information(
 class _Evaluator:
     """The working arrays of one evaluation."""
 
-    def __init__(self, chain: Chain, state: State, noise: Noise, columns: IndexArray) -> None:
+    def __init__(
+        self, chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
+    ) -> None:
+        self.scale_power = scale_power
+        self.is_scale = columns == TERM_COLUMNS['scale'].start
         self.chain, self.state, self.noise, self.columns = chain, state, noise, columns
         self.m = len(columns)
         self.white_parts = noise.white_parts(state.T_a_b)
@@ -144,20 +156,23 @@ class _Evaluator:
         response = system.solve(border)
         schur = corner - np.tensordot(border, response, ((0, 1), (0, 1)))
         schur = 0.5 * (schur + schur.T)
-        gradient = schur[:m, m]
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
+        power = self.scale_power * self.is_scale
+        gradient = schur[:m, m] - power / self.state.scale
         step = -covariance @ gradient
+        quadratic = schur[m, m] + 2 * schur[:m, m] @ step + step @ schur[:m, :m] @ step
+        # In the first steps of a poor start, the scale that a step leads to may be no scale.
+        scale = np.maximum(self.state.scale + step, 0.1)
         objective = (
             N * np.linalg.slogdet(self.white)[1] + self.noise.mixture_terms(self.narrow)
             + system.log_determinant + log_information
-            + schur[m, m] + gradient @ step)
+            + quadratic - 2 * power @ np.log(scale))
         posterior = self.posterior(system, response, step, covariance)
         score, traces = self.score(posterior)
         return Evaluation(
             objective=float(objective),
             covariance=covariance + FREE_VARIANCE * free,
             step_covariance=covariance,
-            gradient=gradient,
             parameter_step=step,
             body_response=response,
             walk_squares=posterior.walk_squares,

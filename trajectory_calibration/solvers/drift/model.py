@@ -43,6 +43,8 @@ PARAMETERS = 11
 
 # A step has at least this share of the mean length, so that a sensor at rest may still drift.
 _REST_SHARE = 0.1
+# Steps over which the speed and the rate of turn of a step are averaged.
+_SPEED_WINDOW, _TURN_WINDOW = 11, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,8 @@ class Chain:
     poses_a : (N, 4, 4), sensor a in its world.
     twist_a : (N, 6), metres and radians a second in the axes of a, from the neighbouring poses.
     step_rotation, step_translation : (N - 1, 3, 3) and (N - 1, 3), the motion of b, ``dB_k``.
-    step_length : (N - 1), metres, at least a tenth of the mean.
-    step_angle : (N - 1), radians.
+    step_length : (N - 1), metres, from the speed around the step; at least a tenth of the mean.
+    step_angle : (N - 1), radians, from the rate of turn around the step.
 
     """
 
@@ -76,7 +78,7 @@ class Chain:
         duration = np.diff(pairs.stamps_ns[::every]) * 1e-9
         steps = se3.inverse(poses_b[:-1]) @ poses_b[1:]
         length = np.linalg.norm(steps[:, :3, 3], axis=1)
-        mean = float(length.mean())
+        angle = se3.rotation_angle(steps[:, :3, :3])
         twist = np.empty((len(poses_a), 6))
         step_twist = se3.log_se3(se3.inverse(poses_a[:-1]) @ poses_a[1:]) / duration[:, None]
         twist[0], twist[-1] = step_twist[0], step_twist[-1]
@@ -86,9 +88,32 @@ class Chain:
             twist_a=twist,
             step_rotation=np.ascontiguousarray(steps[:, :3, :3]),
             step_translation=np.ascontiguousarray(steps[:, :3, 3]),
-            step_length=length + _REST_SHARE * mean if mean > 0 else np.ones(len(length)),
-            step_angle=se3.rotation_angle(steps[:, :3, :3]),
+            step_length=_typical_length(length, duration),
+            step_angle=duration * np.sqrt(_mean_around((angle / duration)**2, _TURN_WINDOW)),
         )
+
+
+def _typical_length(length: FloatArray, duration: FloatArray) -> FloatArray:
+    """Return (n,) lengths of steps of (n,) seconds at the speed of their neighbourhood.
+
+    A step's own length would do, were it not noisy: a step that noise made long would be allowed
+    the more noise, and the likelihood would take white noise for a walk.
+    """
+    mean = float(length.mean())
+    if mean == 0:
+        return np.ones(len(length))
+    speed = (_mean_around(length, _SPEED_WINDOW) / _mean_around(duration, _SPEED_WINDOW))
+    return speed * duration + _REST_SHARE * mean
+
+
+def _mean_around(values: FloatArray, window: int) -> FloatArray:
+    """Return the (n,) running means over an odd number of values, fewer at the ends."""
+    half = window // 2
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    first = np.maximum(np.arange(len(values)) - half, 0)
+    last = np.minimum(np.arange(len(values)) + half + 1, len(values))
+    means: FloatArray = (total[last] - total[first]) / (last - first)
+    return means
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +206,10 @@ def _observation(
     result[:, :3, 6:9] = -np.eye(3)
     result[:, :3, 9:12] = se3.skew(translation)
     result[:, 3:, 9:12] = -left_inverse
-    offset = np.flatnonzero(columns == TERM_COLUMNS['time_offset'].start)
-    if len(offset):
+    place = np.flatnonzero(columns == TERM_COLUMNS['time_offset'].start)
+    if len(place):
         moved = chain.twist_a[poses] @ se3.adjoint(se3.inverse(state.T_a_b)).T
-        result[:, :, 6 + offset[0]] = _apply(result[:, :, 6:12], moved)
+        result[:, :, 6 + place[0]] = _apply(result[:, :, 6:12], moved)
     result[:, :3, -1] = translation
     result[:, 3:, -1] = rotation
     return result

@@ -67,13 +67,15 @@ class Noise:
     jump_share: FloatArray
 
     @classmethod
-    def guess(cls, chain: Chain, steps: FloatArray) -> Noise:
+    def guess(cls, chain: Chain, steps: FloatArray, white_share: float) -> Noise:
         """Guess from (N - 1, 6) differences of the steps of both sensors."""
         squares = _squares(steps)
         scale = np.maximum(np.median(squares, axis=0) / _CHI2_MEDIAN, _SMALLEST**2)
         profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
         log_variances = np.log(np.concatenate([
-            scale / 8, scale / 4 / np.median(profiles[0]), scale / 4 / np.mean(profiles[1])]))
+            white_share * scale / 4,
+            (1 - white_share) * scale / 2 / np.median(profiles[0]),
+            (1 - white_share) * scale / 2 / np.mean(profiles[1])]))
         tail = max(3, len(squares) // 20)
         largest = np.sort(squares, axis=0)[-tail:].mean(axis=0) / 3
         return cls(log_variances, profiles, np.full(squares.shape, 0.02),
@@ -166,21 +168,23 @@ class Noise:
         A variance that has vanished beside another one cannot tell any more whether it would be
         needed: after a change of the model all of them get a new chance.
         """
-        return self._raised(np.log(_REVIVED))
+        return replace(self, log_variances=self._raised(self.log_variances, np.log(_REVIVED)))
 
     def with_log_variances(self, log_variances: FloatArray) -> Noise:
         """Return the noise with new log variances, kept where the equations can be solved."""
-        return replace(self, log_variances=log_variances)._raised(-np.log(_LARGEST_RATIO))
+        return replace(
+            self, log_variances=self._raised(log_variances, -np.log(_LARGEST_RATIO)))
 
-    def _raised(self, log_share: float) -> Noise:
-        """Return the noise, no variance of a typical step below a share of the largest."""
+    def _raised(self, log_variances: FloatArray, log_share: float) -> FloatArray:
+        """Return (6,) log variances, none for a typical step below a share of the largest."""
         typical = np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
                             np.mean(self.profiles[1]) * np.ones(2)])
         # Of one typical step; rows: white, by length, by angle.
-        step = self.log_variances.reshape(3, 2) + np.log(typical)
+        step = log_variances.reshape(3, 2) + np.log(typical)
         lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) + log_share)
         step = np.maximum(step, lowest)
-        return replace(self, log_variances=(step - np.log(typical)).ravel())
+        raised: FloatArray = (step - np.log(typical)).ravel()
+        return raised
 
 
 def _squares(vectors: FloatArray) -> FloatArray:

@@ -24,9 +24,10 @@ from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State,
 COARSE = 250
 # How much finer each next chain is.
 _REFINEMENT = 3
-# Lags (poses of the thinned chain) whose least-squares answers serve as starts, and the
-# iterations after which the most likely start goes on alone.
-_START_LAGS = (1, 5, 20)
+# Starts: the least-squares answers of these lags (poses of the thinned chain), each with the
+# share of white noise for which it would be a good one, and the iterations after which the most
+# likely start goes on alone. Each of the two noises can pass for the other for a while.
+_START_LAGS = {1: 0.1, 5: 0.5, 20: 0.95}
 _RACE = 4
 # Where terms are compared, and where a chain is only a means to a start, negligible means this
 # many times more.
@@ -87,43 +88,63 @@ def _best_start(
     pairs: PosePairs, every: int, chain: Chain, terms: tuple[str, ...],
 ) -> Fit:
     """Return the most likely fit over several starts."""
-    fits = []
-    for T_a_b, scale in starts(pairs, every, free_scale='scale' in terms):
-        state = State.start(chain, T_a_b, scale)
-        fits.append(fit(chain, state, first_noise(chain, state), terms, _RACE))
-    ahead = min(fits, key=lambda candidate: candidate.evaluation.objective)
-    return fit(chain, ahead.state, ahead.noise, terms, tolerance=_COMPARED)
+    found = starts(pairs, every, free_scale='scale' in terms)
+    fits = [_tried(chain, State.start(chain, T_a_b, scale), white_share, terms)
+            for T_a_b, scale, white_share in found]
+    ahead = [candidate for candidate in fits if candidate is not None]
+    if not ahead:
+        raise SolverError(
+            f'drift_aware: none of {len(fits)} starts leads anywhere with {len(chain)} poses; '
+            'check that both trajectories are of one vehicle, or try dnlo')
+    best = min(ahead, key=lambda candidate: candidate.evaluation.objective)
+    return fit(chain, best.state, best.noise, terms, tolerance=_COMPARED)
+
+
+def _tried(
+    chain: Chain, state: State, white_share: float, terms: tuple[str, ...],
+) -> Fit | None:
+    """Return a start after a few iterations, or None where they break down."""
+    try:
+        return fit(chain, state, first_noise(chain, state, white_share), terms, _RACE)
+    except SolverError:
+        return None
 
 
 def starts(
     pairs: PosePairs, every: int, *, free_scale: bool,
-) -> list[tuple[FloatArray, float]]:
-    """Return extrinsics and scales: the least-squares answers of a few lags."""
+) -> list[tuple[FloatArray, float, float]]:
+    """Return extrinsics, scales, shares of white noise: least-squares answers of a few lags."""
     thinned = PosePairs(pairs.stamps_ns[::every], pairs.poses_a[::every],
                         pairs.poses_b[::every], pairs.summary)
+    scale = _relative_scale(thinned) if free_scale else 1.0
     found = []
-    for lag in _START_LAGS:
+    failure: MotionError | None = None
+    for lag, white_share in _START_LAGS.items():
         if len(thinned) - lag < 2:
             continue
         motions = select_motions(thinned, f'B{lag}')
-        scale = 1.0
-        if free_scale:
-            moved_a, moved_b = (float(np.median(np.linalg.norm(poses[:, :3, 3], axis=1)))
-                                for poses in (motions.A, motions.B))
-            scale = moved_a / moved_b if moved_a > 0 and moved_b > 0 else 1.0
-            B = motions.B.copy()
-            B[:, :3, 3] *= scale
-            motions = replace(motions, B=B)
+        B = motions.B.copy()
+        B[:, :3, 3] *= scale
+        motions = replace(motions, B=B)
         G = quadratic.gram(motions)
         # A direction of the translation that the motion leaves free starts at zero.
         G[range(9, 12), range(9, 12)] += 1e-9 * max(float(np.trace(G[9:12, 9:12])), 1e-12)
         try:
-            found.append((quadratic.minimise(G).T_a_b, scale))
+            found.append((quadratic.minimise(G).T_a_b, scale, white_share))
         except MotionError as error:
             failure = error
-    if not found:
+    if failure is not None and not found:
         raise failure
     return found
+
+
+def _relative_scale(pairs: PosePairs) -> float:
+    """Return how much farther a moved than b, over times in which both moved far."""
+    lag = max(1, len(pairs) // 5)
+    moved_a, moved_b = (float(np.median(np.linalg.norm(
+        poses[lag:, :3, 3] - poses[:-lag, :3, 3], axis=1)))
+        for poses in (pairs.poses_a, pairs.poses_b))
+    return moved_a / moved_b if moved_a > 0 and moved_b > 0 else 1.0
 
 
 def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
@@ -145,7 +166,10 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
             candidates.append((gain, candidate))
         if not candidates:
             return best
-        gain, candidate = max(candidates, key=lambda pair: pair[0])
+        # Of rivals that do as well, the one with fewer parameters.
+        enough = max(gain for gain, _ in candidates) - _SUPPORT
+        gain, candidate = min((pair for pair in candidates if pair[0] >= enough),
+                              key=lambda pair: (len(pair[1].evaluation.parameter_step), -pair[0]))
         if gain < _SUPPORT:
             return best
         best = candidate
@@ -185,7 +209,8 @@ def _excluded(name: str, terms: tuple[str, ...]) -> bool:
 def _gain_of_adding(best: Fit, name: str) -> float:
     """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
     columns = columns_of((*best.terms, name))
-    evaluation = evaluate(best.chain, best.state, best.noise, columns)
+    evaluation = evaluate(
+        best.chain, best.state, best.noise, columns, 0.5 * best.evaluation.position_traces)
     place = _place(columns, name)
     step = evaluation.parameter_step[place]
     covariance = evaluation.covariance[np.ix_(place, place)]

@@ -1,0 +1,214 @@
+"""The parts of the drift-aware solver against numeric derivatives and dense algebra."""
+
+from dataclasses import replace
+
+from motion_data import random_pose, wander
+import numpy as np
+import pytest
+
+from trajectory_calibration import se3, Trajectory
+from trajectory_calibration.association import associate_nearest
+from trajectory_calibration.solvers.drift.block_chain import BlockChain
+from trajectory_calibration.solvers.drift.fit import columns_of, first_noise
+from trajectory_calibration.solvers.drift.likelihood import evaluate, invert_information
+from trajectory_calibration.solvers.drift.model import (
+    Chain,
+    corrected_steps,
+    linearise,
+    PARAMETERS,
+    State,
+    TERM_COLUMNS,
+)
+from trajectory_calibration.solvers.drift.noise import Noise
+
+ALL_TERMS = tuple(TERM_COLUMNS)
+
+
+def noisy_pairs(rng, poses, noise=0.02):
+    """Return pose pairs at irregular times, with white noise on b."""
+    T_a_b = random_pose(rng)
+    poses_a = wander(rng, poses)
+    poses_b = random_pose(rng, distance=5.0) @ poses_a @ T_a_b
+    poses_b = poses_b @ se3.exp_se3(noise * rng.normal(size=(poses, 6)))
+    stamps_ns = np.cumsum(rng.integers(50_000_000, 150_000_000, poses))
+    pairs = associate_nearest(Trajectory(stamps_ns, poses_a), Trajectory(stamps_ns, poses_b),
+                              max_difference_ns=0)
+    return pairs, T_a_b
+
+
+@pytest.fixture(name='problem')
+def fixture_problem():
+    """Return a chain of seven poses, a state away from the minimum, and a noise."""
+    rng = np.random.default_rng(3)
+    pairs, T_a_b = noisy_pairs(rng, 7)
+    chain = Chain.from_pairs(pairs)
+    state = State.start(chain, T_a_b).moved(
+        0.02 * rng.normal(size=PARAMETERS), 0.05 * rng.normal(size=(7, 6)))
+    noise = first_noise(chain, state, 0.5)
+    gamma = rng.uniform(0.05, 0.4, size=(6, 2))
+    return chain, state, replace(noise, jump_probability=gamma)
+
+
+@pytest.mark.parametrize('blocks', [1, 2, 3, 4, 5, 8, 13])
+def test_block_chain_against_dense_algebra(blocks):
+    rng = np.random.default_rng(blocks)
+    n = 3
+    J = rng.normal(size=(blocks, n, n))
+    K = rng.normal(size=(blocks - 1, n, 2 * n))
+    H = np.zeros((blocks * n, blocks * n))
+    for k in range(blocks):
+        H[k * n:(k + 1) * n, k * n:(k + 1) * n] += J[k].T @ J[k] + 0.1 * np.eye(n)
+    for k in range(blocks - 1):
+        H[k * n:(k + 2) * n, k * n:(k + 2) * n] += K[k].T @ K[k]
+    dense = H.reshape(blocks, n, blocks, n).transpose(0, 2, 1, 3)
+    k = np.arange(blocks)
+    right = rng.normal(size=(blocks, n, 2))
+    chain = BlockChain.factor(dense[k, k], dense[k[:-1], k[1:]])
+    diagonal, upper = chain.partial_inverse()
+    inverse = np.linalg.inv(H).reshape(blocks, n, blocks, n).transpose(0, 2, 1, 3)
+    np.testing.assert_allclose(
+        chain.solve(right).reshape(-1, 2), np.linalg.solve(H, right.reshape(-1, 2)), atol=1e-11)
+    np.testing.assert_allclose(chain.log_determinant, np.linalg.slogdet(H)[1], atol=1e-11)
+    np.testing.assert_allclose(diagonal, inverse[k, k], atol=1e-11)
+    np.testing.assert_allclose(upper, inverse[k[:-1], k[1:]], atol=1e-11)
+
+
+def test_block_chain_refuses_what_is_not_positive_definite():
+    with pytest.raises(np.linalg.LinAlgError):
+        BlockChain.factor(-np.ones((3, 1, 1)), np.zeros((2, 1, 1)))
+
+
+def test_jacobians_of_the_global_parameters(problem):
+    chain, state, _ = problem
+    found = linearise(chain, state, columns_of(ALL_TERMS), 0, len(chain))
+    still = np.zeros((len(chain), 6))
+    for j, step in enumerate(1e-6 * np.eye(PARAMETERS)):
+        ahead, behind = (linearise(
+            chain, state.moved(sign * step, still), columns_of(()), 0, len(chain))
+            for sign in (1, -1))
+        for name, first in (('observation', 6), ('walk', 12)):
+            numeric = (getattr(ahead, name) - getattr(behind, name))[:, :, -1] / 2e-6
+            np.testing.assert_allclose(
+                getattr(found, name)[:, :, first + j], numeric, atol=1e-6, err_msg=f'{name} {j}')
+
+
+def test_jacobians_of_the_bodies(problem):
+    chain, state, _ = problem
+    columns = columns_of(())
+    found = linearise(chain, state, columns, 0, len(chain))
+    for j in range(6):
+        for parity in (0, 1):
+            step = np.zeros((len(chain), 6))
+            step[parity::2, j] = 1e-6
+            ahead, behind = (linearise(
+                chain, state.moved(np.zeros(PARAMETERS), sign * step), columns, 0, len(chain))
+                for sign in (1, -1))
+            observation = (ahead.observation - behind.observation)[:, :, -1] / 2e-6
+            walk = (ahead.walk - behind.walk)[:, :, -1] / 2e-6
+            np.testing.assert_allclose(
+                observation[parity::2], found.observation[parity::2, :, j], atol=1e-6)
+            # Of a step, the pose before it or the one after it has moved.
+            np.testing.assert_allclose(walk[parity::2], found.walk[parity::2, :, j], atol=1e-6)
+            np.testing.assert_allclose(
+                walk[1 - parity::2], found.walk[1 - parity::2, :, 6 + j], atol=1e-6)
+
+
+def test_steps_with_a_drift_are_restored():
+    rng = np.random.default_rng(1)
+    true = rng.normal(size=(50, 3))
+    drift = np.array([0.03, -0.02, 0.05])
+    length = np.linalg.norm(true, axis=1)
+    reported = (true + length[:, None] * drift) / 1.1
+    restored, found, _ = corrected_steps(reported, 1.1, drift)
+    np.testing.assert_allclose(restored, true, atol=1e-14)
+    np.testing.assert_allclose(found, length, atol=1e-14)
+
+
+def dense_likelihood(chain, state, noise, columns):
+    """Return the objective, the (m, m) covariance and P, all from one dense matrix."""
+    N, m = len(chain), len(columns)
+    linear = linearise(chain, state, columns, 0, N)
+    design = np.zeros((12 * N - 6, 6 * N + m))
+    R = np.zeros((12 * N - 6, 12 * N - 6))
+    white = noise.white_parts(state.T_a_b).sum(axis=0)
+    variance = np.repeat(1 / noise.walk_precision(noise.walk_parts().sum(axis=0)), 3, axis=1)
+    for k in range(N):
+        rows = slice(6 * k, 6 * k + 6)
+        design[rows, 6 * k:6 * k + 6] = linear.observation[k, :, :6]
+        design[rows, 6 * N:] = linear.observation[k, :, 6:-1]
+        R[rows, rows] = white
+    for k in range(N - 1):
+        rows = slice(6 * (N + k), 6 * (N + k) + 6)
+        design[rows, 6 * k:6 * k + 12] = linear.walk[k, :, :12]
+        design[rows, 6 * N:] = linear.walk[k, :, 12:-1]
+        R[rows, rows] = np.diag(variance[k])
+    y = np.concatenate([linear.observation[:, :, -1].ravel(), linear.walk[:, :, -1].ravel()])
+    W = np.linalg.inv(R)
+    H = design.T @ W @ design
+    P = W - W @ design @ np.linalg.solve(H, design.T @ W)
+    objective = (np.linalg.slogdet(R)[1] + np.linalg.slogdet(H)[1] + y @ P @ y)
+    return objective, np.linalg.inv(H)[6 * N:, 6 * N:]
+
+
+@pytest.mark.parametrize('terms', [(), ALL_TERMS])
+def test_likelihood_against_dense_algebra(problem, terms):
+    chain, state, noise = problem
+    noise = replace(noise, jump_probability=np.zeros((6, 2)))
+    columns = columns_of(terms)
+    objective, covariance = dense_likelihood(chain, state, noise, columns)
+    found = evaluate(chain, state, noise, columns)
+    # Without jumps what is left of the mixture is the prior of there being none.
+    prior = -2 * len(noise.jump_probability) * np.log1p(-noise.jump_share).sum()
+    np.testing.assert_allclose(found.objective, objective + prior, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_score_of_the_variances(problem):
+    chain, state, noise = problem
+    noise = replace(noise, jump_variance=np.array([1e4, 1e4]))
+    columns = columns_of(('scale',))
+
+    def objective(log_variances):
+        return evaluate(
+            chain, state, replace(noise, log_variances=log_variances), columns).objective
+
+    numeric = [(objective(noise.log_variances + step) - objective(noise.log_variances - step))
+               / 2e-5 for step in 1e-5 * np.eye(6)]
+    found = evaluate(chain, state, noise, columns).score
+    # The wide component moves with the narrow one too; that part is left out.
+    np.testing.assert_allclose(found, numeric, rtol=1e-3, atol=1e-3)
+
+
+def test_pieces_do_not_change_the_result(problem, monkeypatch):
+    chain, state, noise = problem
+    columns = columns_of(ALL_TERMS)
+    whole = evaluate(chain, state, noise, columns)
+    monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood.PIECE', 3)
+    monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood._KEEP', 5)
+    pieces = evaluate(chain, state, noise, columns)
+    for name in ('objective', 'parameter_step', 'score', 'score_information', 'walk_spread'):
+        np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=1e-8,
+                                   atol=1e-12, err_msg=name)
+
+
+def test_directions_without_information_do_not_move():
+    axis = np.array([1.0, 2.0, 2.0]) / 3
+    information = 4.0 * (np.eye(3) - np.outer(axis, axis))
+    inverse, free, log_determinant = invert_information(information, 10 * np.eye(3))
+    np.testing.assert_allclose(inverse, 0.25 * (np.eye(3) - np.outer(axis, axis)), atol=1e-12)
+    np.testing.assert_allclose(free, np.outer(axis, axis), atol=1e-12)
+    assert np.isfinite(log_determinant)
+
+
+def test_white_noise_follows_the_lever_arm():
+    rng = np.random.default_rng(5)
+    T_a_b = random_pose(rng)
+    noise = Noise(np.log([0.01**2, 0.02**2, 1, 1, 1, 1]), np.ones((2, 3)), np.zeros((3, 2)),
+                  np.ones(2), np.full(2, 0.1))
+    samples = 200_000
+    n_a, n_b = (rng.normal(size=(samples, 6)) * np.repeat([0.01, 0.02], 3) for _ in range(2))
+    poses_a = se3.from_rotation_translation(se3.exp_so3(n_a[:, 3:]), n_a[:, :3])
+    moved = se3.inverse(T_a_b) @ poses_a @ T_a_b
+    seen = np.concatenate([moved[:, :3, 3], se3.log_so3(moved[:, :3, :3])], axis=1)
+    expected = np.cov((n_b - seen).T)
+    np.testing.assert_allclose(noise.white_parts(T_a_b).sum(axis=0), expected, atol=2e-5)
