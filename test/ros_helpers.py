@@ -30,6 +30,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
+from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -37,7 +38,7 @@ from visualization_msgs.msg import MarkerArray
 from trajectory_calibration import se3
 
 __all__ = [
-    'Client', 'DescribeParameters', 'GetParameters', 'ListParameters', 'MarkerArray',
+    'Client', 'DescribeParameters', 'Future', 'GetParameters', 'ListParameters', 'MarkerArray',
     'NodeProcess', 'Parameter', 'SetParameters', 'drive', 'matrix', 'parameter_value_to_python',
     'running', 'serialize_message', 'to_message', 'to_path',
 ]
