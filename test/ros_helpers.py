@@ -60,13 +60,18 @@ T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 _numbers = itertools.count(os.getpid())
 
 
-def drive(poses=100, rate_hz=10.0, start_s=1000.0, seed=3):
-    """Return (N,) stamps and the (N, 4, 4) poses of both sensors on a noise-free 3-D drive."""
+def drive(poses=100, rate_hz=10.0, start_s=1000.0, seed=3, *, planar=False):
+    """Return (N,) stamps and the (N, 4, 4) poses of both sensors on a noise-free drive.
+
+    In three dimensions, or on flat ground.
+    """
     rng = np.random.default_rng(seed)
     time_s = np.arange(poses) / rate_hz
     phases, rates = rng.uniform(0, 6, (2, 6)), rng.uniform(0.3, 1.2, (2, 6))
     amplitudes = np.array([[0.05] * 3 + [0.06] * 3, [0.03] * 3 + [0.04] * 3])
     amplitudes[0, 0] = 0.1
+    if planar:
+        amplitudes[:, 2:5] = 0.0
     twists = (amplitudes[:, None] * np.sin(time_s[:, None] * rates[:, None] + phases[:, None]))
     steps = se3.exp_se3(twists.sum(0))
     T_w_a = np.empty_like(steps)

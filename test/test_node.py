@@ -74,6 +74,25 @@ def test_a_failure_says_why_and_keeps_the_previous_answer(tmp_path):
     assert late == extrinsic
 
 
+def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
+    with ros.running(tmp_path, '-p', 'solver:=drift_aware') as (_, client):
+        client.publish_drive(*ros.drive(planar=True))
+        extrinsic = client.latched()
+        refused = client.call('calibrate')
+        assert not refused.success
+        assert 'not published: z of' in refused.message
+        assert 'set allow_unobserved' in refused.message
+        assert not extrinsic
+        assert client.set_parameter('allow_unobserved', True).successful
+        allowed = client.call('calibrate')
+        assert allowed.success, allowed.message
+        assert 'not observed' in allowed.message
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    found = ros.matrix(extrinsic[0])
+    assert np.allclose(found[:2, 3], ros.T_A_B[:2, 3], atol=1e-4)
+    assert np.allclose(found[:3, :3], ros.T_A_B[:3, :3], atol=1e-6)
+
+
 def test_reset_starts_a_new_collection(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive()
@@ -294,6 +313,22 @@ def test_the_tracks_lie_over_each_other(tmp_path):
     lines, text = markers[0].markers
     assert len(lines.points) == 200
     assert text.text == 'lidar -> camera: tracks 0.000 m apart (rms)'
+
+
+def test_clocks_that_differ_are_named_before_anybody_drives_in_vain(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive(poses=50)
+        a, b = client.publisher('trajectory_a'), client.publisher('trajectory_b')
+        for stamp, pose_a, pose_b in zip(stamps_ns, poses_a, poses_b, strict=True):
+            a.publish(ros.to_message('Odometry', stamp, pose_a))
+            b.publish(ros.to_message('Odometry', stamp + 3600 * 10**9, pose_b))
+        client.wait_for_poses(50, 50)
+        client.wait(lambda: 'apart' in client.value('calibration', 'advice'), 'the advice')
+        advice = client.value('calibration', 'advice')
+        client.set_parameter('time_offset', -3600.0)
+        client.wait(lambda: client.value('calibration', 'overlap_s') == '4.900', 'the overlap')
+        assert client.call('calibrate').success
+    assert advice.startswith('the stamps of a and b are 3595.100 s apart')
 
 
 def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):

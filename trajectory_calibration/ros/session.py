@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import MotionError
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Track
@@ -36,11 +37,14 @@ class CalibrationJob:
         Raises
         ------
         CalibrationError
-            As ``calibrate``, and for tracks of fewer than two poses.
+            As ``calibrate``, for tracks of fewer than two poses, and for an answer that must
+            not go out: one with a direction that neither the motion nor a prior determined,
+            unless ``allow_unobserved``.
 
         """
         a, b = self.track_a.trajectory(), self.track_b.trajectory()
         result = calibrate(a, b, self.config)
+        _require_observed(result)
         return Calibration(result, make_overlay(a, b, result))
 
 
@@ -78,6 +82,15 @@ class CalibrationSession:
         """Forget all poses and counts."""
         self.buffer_a.clear()
         self.buffer_b.clear()
+
+
+def _require_observed(result: CalibrationResult) -> None:
+    unobserved = result.observability.unobserved
+    if unobserved and not result.config.allow_unobserved:
+        raise MotionError(
+            f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} not '
+            f'observed ({"; ".join(result.observability.warnings)}); or give it as a prior, or '
+            'set allow_unobserved')
 
 
 def _name_of(topic: str) -> str:
