@@ -24,6 +24,7 @@ FLOW = (
     ('solvers',),
     ('metrics', 'observability', 'excitation', 'pair_noise'),
     ('uncertainty',),
+    ('reference',),
     ('result',),
     ('pipeline',),
     ('__init__',),

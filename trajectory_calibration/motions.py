@@ -18,7 +18,9 @@ from trajectory_calibration.association import PosePairs
 from trajectory_calibration.errors import ConfigError, MotionError
 from trajectory_calibration.se3 import FloatArray
 
-REFERENCE_HELP = 'A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n)'
+AUTOMATIC = 'auto'
+REFERENCE_HELP = ('A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n), '
+                  'auto (the n of B<n> with the smallest predicted error)')
 
 
 @dataclass(frozen=True, eq=False)

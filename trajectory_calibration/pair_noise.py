@@ -29,6 +29,10 @@ _MOTIONS_OF_A_LAG = 1000
 
 _REWEIGHTINGS = 5
 
+# What one more variance lowers a sum of squares by through chance, seldom; lags share poses, so
+# that chance does more than a chi-square would allow.
+_CHANCE = 9.0
+
 # Smallest standard deviation of white noise, metres and radians: rounding of files and floats.
 _LEAST = 1e-10
 
@@ -118,36 +122,42 @@ def identify_noise(
     if not rows:
         return PairNoise(_LEAST, _LEAST, 0.0, 0.0)
     lag, distance, translation, rotation, moved = np.array(rows).T
-    white_r, walk_r = _fit(lag, distance, rotation)
+    white_r, walk_r = _fit(len(poses_a), lag, distance, rotation)
     # What the rotation noise of the start does to the translation at the end, two axes of three:
     # all of the white noise, a third of what accumulates on the way.
     swung = 2 / 3 * moved * (white_r + walk_r * distance / 3)
-    white_t, walk_t = _fit(lag, distance, np.maximum(translation - swung, 1e-3 * translation))
+    white_t, walk_t = _fit(
+        len(poses_a), lag, distance, np.maximum(translation - swung, 1e-3 * translation))
     return PairNoise(max(np.sqrt(white_t), _LEAST), max(np.sqrt(white_r), _LEAST),
                      np.sqrt(walk_t), np.sqrt(walk_r))
 
 
-def _fit(lag: FloatArray, distance: FloatArray, variogram: FloatArray) -> tuple[float, float]:
+def _fit(
+    poses: int, lag: FloatArray, distance: FloatArray, variogram: FloatArray,
+) -> tuple[float, float]:
     """Return variances >= 0 of ``variogram = 2 white + distance walk``, both for one axis."""
     columns = np.column_stack([np.full(len(lag), 2.0), distance])
     expected = np.maximum(variogram, np.finfo(float).tiny)
     found = np.zeros(2)
     for _ in range(_REWEIGHTINGS):
-        # Motions of n poses overlap n-fold: the variance of their mean square grows with n.
-        root = 1.0 / (np.sqrt(lag) * expected)
+        # Motions of n poses overlap n-fold: so many of their 3 x poses squares are independent.
+        root = np.sqrt(1.5 * poses / lag) / expected
         found = _nonnegative(columns * root[:, None], variogram * root)
         expected = np.maximum(columns @ found, np.finfo(float).tiny)
     return float(found[0]), float(found[1])
 
 
 def _nonnegative(X: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the least-squares solution of ``X s = y`` with both elements of s >= 0."""
-    if len(y) > 1:
-        s = np.linalg.lstsq(X, y, rcond=None)[0]
-        if (s >= 0).all():
-            return np.asarray(s, dtype=np.float64)
-    # One of them is zero then: the better of the two.
+    """Return the solution of ``X s = y`` with both elements of s >= 0, one of them zero if it may.
+
+    The rows have unit variance: an element that lowers the sum of squares by less than chance
+    does is left out.
+    """
     alone = np.maximum(X.T @ y / np.sum(X**2, axis=0), 0.0)
     cost = np.sum((X * alone - y[:, None])**2, axis=0)
     best: FloatArray = np.where(np.arange(2) == np.argmin(cost), alone, 0.0)
+    if len(y) > 1:
+        both = np.linalg.lstsq(X, y, rcond=None)[0]
+        if (both >= 0).all() and np.sum((X @ both - y)**2) < cost.min() - _CHANCE:
+            return np.asarray(both, dtype=np.float64)
     return best

@@ -8,6 +8,7 @@ from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe
 from trajectory_calibration.priors import apply_prior
+from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.synchronisation import synchronise
@@ -60,7 +61,8 @@ def calibrate(
         max_gap_ns=round(config.max_gap * 1e9),
         time_offset_ns=round(time_offset * 1e9),
     )
-    motions = select_motions(pairs, config.reference)
+    choice = choose_reference(pairs, config)
+    motions = select_motions(pairs, choice.reference)
     solution = solve(motions, config)
     uncertainty = estimate_uncertainty(solution, motions)
     T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
@@ -79,6 +81,9 @@ def calibrate(
         observability=observability,
         association=pairs.summary,
         config=config,
+        reference=motions.reference,
+        reference_choice=choice.explanation or None,
+        optimality_gap=solution.optimality_gap,
         scale=config.scale * solution.scale,
         time_offset_s=pairs.summary.time_offset_s + solution.time_offset_s,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),

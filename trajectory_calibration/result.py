@@ -46,6 +46,10 @@ class CalibrationResult:
     time_offset_s : seconds that were added to the stamps of b.
     diagnosis : the noise of the two trajectories as plain data, or None where the solver does
         not identify it.
+    reference : of the motions: that of the settings, or what ``auto`` chose.
+    reference_choice : why, or None where the reference was given.
+    optimality_gap : how much lower the solver's cost could be elsewhere, at most, as a share of
+        it; None where the solver gives no certificate.
     version : of the package that made the result.
 
     """
@@ -65,6 +69,9 @@ class CalibrationResult:
     scale: float = 1.0
     time_offset_s: float = 0.0
     diagnosis: dict[str, Any] | None = None
+    reference: str = ''
+    reference_choice: str | None = None
+    optimality_gap: float | None = None
     version: str = __version__
 
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
@@ -83,7 +90,8 @@ class CalibrationResult:
             'frame_a': self.frame_a,
             'frame_b': self.frame_b,
             'solver': self.config.solver,
-            'reference': self.config.reference,
+            'reference': self.reference or self.config.reference,
+            'reference_choice': self.reference_choice,
             'T_a_b': {
                 'translation': self.T_a_b[:3, 3].tolist(),
                 'rotation_xyzw': se3.rotation_to_quaternion(self.T_a_b[:3, :3]).tolist(),
@@ -99,6 +107,7 @@ class CalibrationResult:
             'e_aR_deg': None if truth is None else float(np.rad2deg(truth.e_aR)),
             'scale': self.scale,
             'time_offset_s': self.time_offset_s,
+            'optimality_gap': self.optimality_gap,
             'observability': self.observability.to_dict(),
             'diagnosis': self.diagnosis,
             'association': asdict(self.association),
@@ -145,6 +154,9 @@ class CalibrationResult:
                 scale=float(data['scale']),
                 time_offset_s=float(data['time_offset_s']),
                 diagnosis=data['diagnosis'],
+                reference=str(data['reference']),
+                reference_choice=data['reference_choice'],
+                optimality_gap=data['optimality_gap'],
                 version=str(data['package_version']),
             )
         except (KeyError, TypeError, ValueError, AttributeError) as error:

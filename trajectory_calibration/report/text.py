@@ -42,8 +42,10 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
     if result.time_offset_s:
         rows['time offset'] = f'{result.time_offset_s:.4f} s on {b}'
-    rows['method'] = (f'{result.config.solver}, reference {result.config.reference}, version '
-                      f'{result.version}')
+    rows['method'] = (f'{result.config.solver}, reference '
+                      f'{result.reference or result.config.reference}, version {result.version}')
+    if result.reference_choice:
+        rows['reference'] = result.reference_choice
     lines = [f'warning: {warning}' for warning in result.warnings]
     if lines:
         lines.append('')

@@ -28,6 +28,9 @@ SOLVERS = {
 }
 SOLVER_NAMES = tuple(SOLVERS)
 
+# They work on the pose pairs themselves: a reference changes only the relative errors reported.
+WITHOUT_REFERENCE = frozenset({'drift_aware'})
+
 
 class Solver(Protocol):
     """What every solver module offers under the name ``solve``."""

@@ -23,7 +23,11 @@ from trajectory_calibration.errors import SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
+from trajectory_calibration.solvers.certificate import certify
 from trajectory_calibration.solvers.solution import Solution
+
+# Starts of the search that follows a failed certificate.
+_MANY = 500
 
 # Quiet, and tight: one iteration costs microseconds, digits are worth more.
 IPOPT_OPTIONS = {
@@ -50,10 +54,24 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     held = quadratic.hold(G, len(motions), config)
     G = G + held
     # The cost is not convex in the rotation: Ipopt starts where a search over all of SO(3) ends.
-    start = quadratic.minimise(G).T_a_b
-    T_a_b, cost, iterations = minimise_with_ipopt(G, start)
+    start = quadratic.minimise(G)
+    certificate = certify(G, start.T_a_b)
+    if not certificate.proven:
+        start = quadratic.minimise(G, _many_rotations())
+        certificate = certify(G, start.T_a_b)
+    T_a_b, cost, iterations = minimise_with_ipopt(G, start.T_a_b)
+    doubt = ('dnl: its minimum is not proven to be the lowest; another could have a cost up to '
+             f'{certificate.relative_gap:.2g} times its own lower')
     return Solution(quadratic.polish(T_a_b, motions, held=held), cost, iterations,
-                    linearise=linear.frobenius)
+                    linearise=linear.frobenius, optimality_gap=certificate.relative_gap,
+                    warnings=() if certificate.proven else (doubt,))
+
+
+def _many_rotations() -> FloatArray:
+    """Return (S, 3, 3) rotations that cover SO(3) densely, the same ones every time."""
+    quaternions = np.random.default_rng(0).standard_normal((_MANY, 4))
+    return se3.quaternion_to_rotation(
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
 
 
 def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, float, int]:

@@ -57,6 +57,8 @@ class Solution:
     covariance : (6, 6) or None; order and side as in ``CalibrationResult``.
     linearise : its estimating equations, from which the covariance follows where a solver has
         none of its own; None where they do not apply.
+    optimality_gap : upper bound of how much lower the cost could be elsewhere, as a share of it;
+        0 is a proof of the global minimum, None where the solver gives no certificate.
     warnings : sentences for the result.
     scale : metres of a per metre of b that the solver found, 1 where it does not look for it.
     time_offset_s : seconds to add to the stamps of b, on top of what the association added.
@@ -70,6 +72,7 @@ class Solution:
     inliers: NDArray[np.bool_] | None = None
     covariance: FloatArray | None = None
     linearise: Linearise | None = None
+    optimality_gap: float | None = None
     warnings: tuple[str, ...] = ()
     scale: float = 1.0
     time_offset_s: float = 0.0
