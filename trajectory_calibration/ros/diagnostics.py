@@ -95,11 +95,14 @@ def key_values(values: dict[str, object]) -> list[KeyValue]:
     return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
 
-def overlap_s(a: PoseBuffer, b: PoseBuffer, time_offset_s: float) -> float:
-    """Return the seconds that both buffers cover, with the offset added to the stamps of b."""
+def time_apart_s(a: PoseBuffer, b: PoseBuffer, time_offset_s: float) -> float:
+    """Return the seconds between the spans of two buffers, negative where they overlap.
+
+    ``time_offset_s`` is added to the stamps of b; where a buffer is empty, the answer is 0.
+    """
     span_a, span_b = a.span_ns, b.span_ns
     if span_a is None or span_b is None:
         return 0.0
     offset_ns = round(time_offset_s * 1e9)
     start, end = max(span_a[0], span_b[0] + offset_ns), min(span_a[1], span_b[1] + offset_ns)
-    return max(0, end - start) * 1e-9
+    return (start - end) * 1e-9

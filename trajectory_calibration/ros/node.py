@@ -27,7 +27,7 @@ from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
     key_values,
-    overlap_s,
+    time_apart_s,
 )
 from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
@@ -207,10 +207,12 @@ class CalibrationNode(Node):
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
         values = self._settings.values()
+        # A calibration may have found the clock offset.
+        offset_s = values['time_offset'] if self._result is None else self._result.time_offset_s
         excitation = self._excitation.update(
-            self._session.buffer_a, self._session.buffer_b,
-            round(values['time_offset'] * 1e9), round(values['max_gap'] * 1e9))
-        statuses.append(self._calibration_status(values, excitation))
+            self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
+            round(values['max_gap'] * 1e9))
+        statuses.append(self._calibration_status(values, excitation, offset_s))
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
@@ -236,12 +238,17 @@ class CalibrationNode(Node):
             self._start_solver(values)
 
     def _calibration_status(
-        self, values: Mapping[str, Any], excitation: Excitation,
+        self, values: Mapping[str, Any], excitation: Excitation, offset_s: float,
     ) -> DiagnosticStatus:
         session, result = self._session, self._result
-        advice = excitation.advice(
-            values['frame_a'] or session.buffer_a.frames[1] or 'sensor a',
-            values['target_translation_std'], values['target_rotation_std'])
+        apart_s = time_apart_s(session.buffer_a, session.buffer_b, offset_s)
+        if apart_s > 0:
+            advice = (f'the stamps of a and b are {apart_s:.3f} s apart: correct the clocks, or '
+                      'set time_offset')
+        else:
+            advice = excitation.advice(
+                values['frame_a'] or session.buffer_a.frames[1] or 'sensor a',
+                values['target_translation_std'], values['target_rotation_std'])
         status = DiagnosticStatus(
             name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
         if self._solver.busy:
@@ -252,10 +259,10 @@ class CalibrationNode(Node):
             status.message = 'calibrated'
         else:
             status.message = advice
-        overlap = overlap_s(session.buffer_a, session.buffer_b, values['time_offset'])
         status.values = key_values({
             'solver': values['solver'],
-            'overlap_s': f'{overlap:.3f}',
+            'overlap_s': f'{max(0.0, -apart_s):.3f}',
+            'clock_offset_s': f'{offset_s:.4f}',
             'advice': advice,
             **excitation_values(excitation),
             **({} if result is None else {'extrinsic': describe(result)}),
