@@ -227,7 +227,7 @@ def _describe(item: WeakAxis, turned_about: FloatArray, turned: float, frame: st
              else f'rotation about {name} of {frame}')
     unit = 'm' if item.kind == 'translation' else 'deg'
     if item.status == WEAK:
-        advice = ('drive steeper ramps or banks, or longer' if item.kind == 'translation'
+        advice = ('drive tighter curves, steeper ramps, or longer' if item.kind == 'translation'
                   else 'drive more curves, ramps and banks, or longer')
         return f'{where}: weak, standard deviation {item.std:.2g} {unit}; {advice}'
     if turned < _HARDLY:
