@@ -103,7 +103,12 @@ def fit(
     trust = VarianceTrust()
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
+    first_scale = state.scale
     for iteration in range(1, max_iterations + 1):
+        if not 0.5 < state.scale / first_scale < 2:
+            raise SolverError(
+                f'drift_aware: the scale runs away ({state.scale / first_scale:.2f} times what '
+                'the trajectories span); needed steps longer than their noise, or scale fixed')
         evaluation = _evaluate(chain, state, noise, columns, power)
         power = 0.5 * evaluation.position_traces
         step = evaluation.parameter_step

@@ -32,6 +32,8 @@ _RACE = 4
 # Where terms are compared, and where a chain is only a means to a start, negligible means this
 # many times more.
 _COMPARED, _ROUGH = 1.0, 10.0
+# A scale that differs by less than this is left to the likelihood to find.
+_SIMILAR = 0.5
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
 # percent and one hundredth of a second. The tails leave room for more.
 _PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
@@ -65,9 +67,17 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     """
     wanted = tuple(name for name in TERM_COLUMNS if terms[name] == 'estimate')
     optional = tuple(name for name in TERM_COLUMNS if terms[name] == 'auto')
+    scale = 1.0 if terms['scale'] == 'fixed' else _relative_scale(pairs)
+    if abs(scale - 1) < _SIMILAR:
+        scale = 1.0
+    elif 'scale' in optional:
+        # Other units, or a single camera: nothing fits without it.
+        wanted = ('scale', *wanted)
     every = max(1, len(pairs) // COARSE)
     coarse = Chain.from_pairs(pairs, every)
-    best = _best_start(pairs, every, coarse, wanted)
+    best = _best_start(pairs, every, coarse, scale)
+    if wanted:
+        best = _with_terms(best, wanted)
     best = _grow(best, optional)
     if every == 1:
         return fit(coarse, best.state, best.noise, best.terms)
@@ -84,39 +94,41 @@ def _refine(best: Fit, chain: Chain, *, final: bool) -> Fit:
                tolerance=1.0 if final else _ROUGH)
 
 
-def _best_start(
-    pairs: PosePairs, every: int, chain: Chain, terms: tuple[str, ...],
-) -> Fit:
-    """Return the most likely fit over several starts."""
-    found = starts(pairs, every, free_scale='scale' in terms)
-    fits = [_tried(chain, State.start(chain, T_a_b, scale), white_share, terms)
-            for T_a_b, scale, white_share in found]
+def _best_start(pairs: PosePairs, every: int, chain: Chain, scale: float) -> Fit:
+    """Return the most likely fit over several starts, all terms fixed."""
+    fits = [_tried(chain, State.start(chain, T_a_b, scale), white_share)
+            for T_a_b, white_share in starts(pairs, every, scale)]
     ahead = [candidate for candidate in fits if candidate is not None]
     if not ahead:
         raise SolverError(
             f'drift_aware: none of {len(fits)} starts leads anywhere with {len(chain)} poses; '
             'check that both trajectories are of one vehicle, or try dnlo')
     best = min(ahead, key=lambda candidate: candidate.evaluation.objective)
-    return fit(chain, best.state, best.noise, terms, tolerance=_COMPARED)
+    return fit(chain, best.state, best.noise, tolerance=_COMPARED)
 
 
-def _tried(
-    chain: Chain, state: State, white_share: float, terms: tuple[str, ...],
-) -> Fit | None:
+def _tried(chain: Chain, state: State, white_share: float) -> Fit | None:
     """Return a start after a few iterations, or None where they break down."""
     try:
-        return fit(chain, state, first_noise(chain, state, white_share), terms, _RACE)
+        return fit(chain, state, first_noise(chain, state, white_share), max_iterations=_RACE)
     except SolverError:
         return None
 
 
-def starts(
-    pairs: PosePairs, every: int, *, free_scale: bool,
-) -> list[tuple[FloatArray, float, float]]:
-    """Return extrinsics, scales, shares of white noise: least-squares answers of a few lags."""
+def _with_terms(best: Fit, terms: tuple[str, ...]) -> Fit:
+    """Return the fit with the terms that the user asks for."""
+    plain = fit(best.chain, best.state, best.noise, terms, tolerance=_COMPARED)
+    try:
+        revived = fit(best.chain, best.state, best.noise.revived(), terms, tolerance=_COMPARED)
+    except SolverError:
+        return plain
+    return min(plain, revived, key=lambda candidate: candidate.evaluation.objective)
+
+
+def starts(pairs: PosePairs, every: int, scale: float) -> list[tuple[FloatArray, float]]:
+    """Return extrinsics and shares of white noise: the least-squares answers of a few lags."""
     thinned = PosePairs(pairs.stamps_ns[::every], pairs.poses_a[::every],
                         pairs.poses_b[::every], pairs.summary)
-    scale = _relative_scale(thinned) if free_scale else 1.0
     found = []
     failure: MotionError | None = None
     for lag, white_share in _START_LAGS.items():
@@ -130,7 +142,7 @@ def starts(
         # A direction of the translation that the motion leaves free starts at zero.
         G[range(9, 12), range(9, 12)] += 1e-9 * max(float(np.trace(G[9:12, 9:12])), 1e-12)
         try:
-            found.append((quadratic.minimise(G).T_a_b, scale, white_share))
+            found.append((quadratic.minimise(G).T_a_b, white_share))
         except MotionError as error:
             failure = error
     if failure is not None and not found:

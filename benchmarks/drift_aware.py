@@ -1,0 +1,171 @@
+"""The drift-aware solver against its targets.
+
+    python benchmarks/drift_aware.py --data ../shared/data [--seeds 40] [--sizes 2343,10000]
+
+Prints Markdown tables: the published runs and drives; simulated pairs that the published data do
+not have, with the normalised squared error of the extrinsic (NEES / 6, one where the covariance
+is right) and the share of the truth inside 95 % intervals; the bias of the scale under pure white
+noise; and seconds of processor time. Set OMP_NUM_THREADS=1.
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+import time
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.association import associate, associate_nearest
+from trajectory_calibration.metrics import absolute_errors
+from trajectory_calibration.simulation import (
+    Noise,
+    peaks,
+    Scenario,
+    simulate,
+    Unicycle,
+    Wander,
+    with_noise,
+)
+from trajectory_calibration.solvers.drift_aware import solve_pairs
+from trajectory_calibration.sources.files import FileSource, read_transform
+
+TERMS = ('scale', 'systematic_drift', 'time_offset')
+AUTO = dict.fromkeys(TERMS, 'auto')
+SCALE_ONLY = {**dict.fromkeys(TERMS, 'fixed'), 'scale': 'estimate'}
+
+PUBLISHED = {
+    'mixture': ('mixture', 0.0085, 0.26),
+    'outliers 10': ('outliers/outliers_10', 0.0005, 0.26),
+    'drift 0.05': ('drift/drift_0.050000', 0.001, 0.26),
+    'noise 0.010': ('noise/noise_0.010000', 0.0070, 0.31),
+}
+CORRECTED = se3.from_rotation_translation(np.eye(3), [-0.0599, 0.0011, -0.0038])
+
+_SLAM = Noise(white=0.005, white_rotation=0.003, walk=0.01, walk_rotation=0.001, jumps=3)
+SIMULATED = {
+    'white, 3-D': (Wander(3.0, 0.4, 1.0, 0.3), 30.0, 10.0, (
+        Noise(white=0.01, white_rotation=0.01),) * 2),
+    'walk, 3-D': (Wander(5.0, 0.3, 1.0, 0.2), 40.0, 10.0, (
+        Noise(walk=0.01, walk_rotation=0.002),) * 2),
+    'all, 3-D, 5 Hz': (Wander(), 60.0, 5.0, (_SLAM, _SLAM)),
+    'hand-held, 30 Hz': (Wander(0.8, 0.5, 0.8, 0.5), 20.0, 30.0, (
+        Noise(white=0.01, white_rotation=0.01),) * 2),
+    'vehicle on peaks': (Unicycle(3.0, 0.8, 1.5, peaks), 30.0, 10.0, (
+        replace(_SLAM, white=0.01, jumps=2), replace(_SLAM, white=0.01, jumps=2))),
+    'unequal sensors': (Wander(), 60.0, 5.0, (
+        Noise(white=0.002, white_rotation=0.001, walk=0.005),
+        Noise(white=0.02, white_rotation=0.01, walk=0.005, jumps=2))),
+    'scale 1.03': (Wander(), 60.0, 5.0, (
+        Noise(white=0.01, white_rotation=0.005, walk=0.01),
+        Noise(white=0.01, white_rotation=0.005, walk=0.01, scale=1.03))),
+}
+
+
+def trajectory(path):
+    return FileSource(path, 'tum').load()
+
+
+def published_runs(data):
+    print('| class | median e_at, m | target | median e_aR, deg | target |\n|---|---|---|---|---|')
+    for name, (folder, metres, degrees) in PUBLISHED.items():
+        found = []
+        for run in sorted((data / 'simulation' / folder).glob('run_*')):
+            pairs = associate_nearest(
+                *(trajectory(run / f'T_S{i}_W{i}.txt') for i in (1, 2)),
+                max_difference_ns=1_000_000)
+            error = absolute_errors(
+                solve_pairs(pairs, AUTO).T_a_b, read_transform(run / 'T_S2_S1.txt'))
+            found.append([error.e_at, np.rad2deg(error.e_aR)])
+        at, aR = np.median(found, axis=0)
+        print(f'| {name} | {at:.4f} | {metres} | {aR:.3f} | {degrees} |')
+
+
+def published_drives(data):
+    print('\n| drive | pairs | e_at, m | e_aR, deg | corrected truth | scale | CPU, s |'
+          '\n|---|---|---|---|---|---|---|')
+    for drive, a, b, truth in (
+            ('2011_10_03_drive_0027', 'cam01/KeyFrameTrajectory_TUM_Format.txt',
+             'cam23/KeyFrameTrajectory_TUM_Format.txt',
+             'camera_color_left_in_camera_gray_left.txt'),
+            ('2011_09_30_drive_0027', 'LIDAR_HDL64E/traj_HDL_aft_opt.csv',
+             'cam01/KeyFrameTrajectory_TUM_Format.txt', 'camera_gray_left_in_velo_link.txt')):
+        folder = data / 'kitti' / drive
+        both = trajectory(folder / a), trajectory(folder / b)
+        for name, pairs in (
+                ('interpolated', associate(*both, method='interpolate', max_gap_ns=500_000_000)),
+                ('coinciding', associate_nearest(*both, max_difference_ns=12_000_000))):
+            start = time.process_time()
+            solution = solve_pairs(pairs, AUTO)
+            seconds = time.process_time() - start
+            error = absolute_errors(solution.T_a_b, read_transform(folder / truth))
+            corrected = absolute_errors(solution.T_a_b, CORRECTED)
+            beside = (f'{corrected.e_at:.4f} m, {np.rad2deg(corrected.e_aR):.3f} deg'
+                      if '10_03' in drive else '')
+            print(f'| {drive[:10]}, {name} | {len(pairs)} | {error.e_at:.4f} | '
+                  f'{np.rad2deg(error.e_aR):.3f} | {beside} | {solution.scale:.4f} | '
+                  f'{seconds:.2f} |')
+
+
+def drawn(motion, duration, rate, noise, seed):
+    scenario = with_noise(Scenario(duration, motion), *noise)
+    pair = simulate(replace(scenario, a=replace(scenario.a, rate=rate),
+                            b=replace(scenario.b, rate=rate)), seed)
+    return associate_nearest(pair.a, pair.b, max_difference_ns=1_000_000), pair.T_a_b
+
+
+def simulated_pairs(seeds):
+    print('\n| simulated | poses | median e_at, m | e_aR, deg | NEES / 6 | coverage |'
+          '\n|---|---|---|---|---|---|')
+    for name, setting in SIMULATED.items():
+        errors, squares, inside = [], [], []
+        for seed in range(seeds):
+            pairs, T_a_b = drawn(*setting, seed)
+            solution = solve_pairs(pairs, AUTO)
+            d = np.concatenate([T_a_b[:3, 3] - solution.T_a_b[:3, 3],
+                                se3.log_so3(T_a_b[:3, :3] @ solution.T_a_b[:3, :3].T)])
+            errors.append([np.linalg.norm(d[:3]), np.rad2deg(np.linalg.norm(d[3:]))])
+            squares.append(d @ np.linalg.solve(solution.covariance, d) / 6)
+            inside.append(np.abs(d) < 1.96 * np.sqrt(np.diag(solution.covariance)))
+        at, aR = np.median(errors, axis=0)
+        print(f'| {name} | {len(pairs)} | {at:.4f} | {aR:.3f} | {np.mean(squares):.2f} | '
+              f'{np.mean(inside):.3f} |', flush=True)
+
+
+def scale_bias(seeds):
+    print('\n| white noise, m | rate, Hz | mean of scale - 1 | standard error |\n|---|---|---|---|')
+    for white, rate in ((0.05, 30.0), (0.01, 5.0)):
+        noise = (Noise(white=white, white_rotation=0.02),) * 2
+        found = [solve_pairs(drawn(Wander(0.8, 0.5, 0.8, 0.4), 10.0, rate, noise, seed)[0],
+                             SCALE_ONLY).scale - 1 for seed in range(seeds)]
+        print(f'| {white} | {rate:g} | {np.mean(found):+.5f} | '
+              f'{np.std(found) / np.sqrt(seeds):.5f} |', flush=True)
+
+
+def speed(sizes):
+    print('\n| poses | CPU, s | CPU a pose, us |\n|---|---|---|')
+    noise = (Noise(white=0.01, white_rotation=0.003, walk=0.005, walk_rotation=0.0005),) * 2
+    for poses in sizes:
+        pairs, _ = drawn(Wander(), (poses - 1) / 10, 10.0, noise, 0)
+        start = time.process_time()
+        solve_pairs(pairs, AUTO)
+        seconds = time.process_time() - start
+        print(f'| {poses} | {seconds:.2f} | {1e6 * seconds / poses:.0f} |', flush=True)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--data', type=Path, default=Path('../shared/data'))
+    parser.add_argument('--seeds', type=int, default=40)
+    parser.add_argument('--scale-seeds', type=int, default=200)
+    parser.add_argument('--sizes', default='2343,10000,100000')
+    options = parser.parse_args()
+    published_runs(options.data)
+    published_drives(options.data)
+    simulated_pairs(options.seeds)
+    scale_bias(options.scale_seeds)
+    speed([int(size) for size in options.sizes.split(',')])
+
+
+if __name__ == '__main__':
+    main()
