@@ -83,7 +83,7 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
         assert 'not published: z of' in refused.message
         assert 'set allow_unobserved' in refused.message
         assert not extrinsic
-        assert client.set_parameter('allow_unobserved', True).successful
+        assert client.set_parameter('allow_unobserved', value=True).successful
         allowed = client.call('calibrate')
         assert allowed.success, allowed.message
         assert 'not observed' in allowed.message

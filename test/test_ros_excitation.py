@@ -120,6 +120,18 @@ def test_a_cleared_buffer_begins_anew():
     assert monitor.update(*buffers, 0, GAP_NS).motions == 0
 
 
+def test_another_clock_offset_begins_anew_from_what_is_held():
+    stamps_ns, a, b = drive(900, (0, 1, 2), noise=0 * NOISE)
+    buffers = PoseBuffer(BufferLimits()), PoseBuffer(BufferLimits())
+    monitor = ExcitationMonitor()
+    fill(buffers[0], stamps_ns, a)
+    fill(buffers[1], stamps_ns + 700_000_000, b)
+    wrong = monitor.update(*buffers, 0, GAP_NS)
+    right = monitor.update(*buffers, -700_000_000, GAP_NS)
+    assert right.motions > 80
+    assert (right.translation_std < 1e-3 * wrong.translation_std).all()
+
+
 def test_gaps_are_not_bridged():
     stamps_ns, a, b = drive(900, (0, 1, 2))
     keep = (np.arange(900) < 200) | (np.arange(900) > 700)

@@ -58,6 +58,15 @@ def test_damaged_files_are_passed_over(tmp_path, result):
         store.latest()
 
 
+def test_a_folder_that_went_away_is_named(tmp_path, result):
+    folder = tmp_path / 'stick'
+    store = ResultStore(str(folder), '/node')
+    folder.rmdir()
+    for attempt in (store.latest, lambda: store.save(result)):
+        with pytest.raises(ResultError, match='stick cannot be read: No such file'):
+            attempt()
+
+
 def test_a_name_cannot_leave_the_folder(tmp_path, result):
     path = ResultStore(str(tmp_path), '/../../etc/passwd').save(result)
     assert path.parent == tmp_path

@@ -85,16 +85,17 @@ class ExcitationMonitor:
     """Follows two buffers and keeps the sums of their motions."""
 
     def __init__(self) -> None:
-        self._generations = (-1, -1)
+        self._basis = (-1, -1, 0)
         self._clear()
 
     def update(
         self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
     ) -> Excitation:
         """Take what has arrived since the last call and return the state of things."""
-        generations = (a.generation, b.generation)
-        if generations != self._generations:
-            self._generations = generations
+        # Sums over other poses, or over pairs at another offset, say nothing about these.
+        basis = (a.generation, b.generation, time_offset_ns)
+        if basis != self._basis:
+            self._basis = basis
             self._clear()
         self._advance(a, b, time_offset_ns, max_gap_ns)
         return self._sums.excitation()

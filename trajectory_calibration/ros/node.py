@@ -140,7 +140,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
         self._solver.cancel('stopped by a reset')
         self._session.reset()
-        self._calibrated, self._motions_tried = False, 0
+        self._calibrated, self._motions_tried, self._last_failure = False, 0, ''
         response.success = True
         response.message = (
             f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
@@ -207,8 +207,9 @@ class CalibrationNode(Node):
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
         values = self._settings.values()
-        # A calibration may have found the clock offset.
-        offset_s = values['time_offset'] if self._result is None else self._result.time_offset_s
+        # A calibration of this run may have found the clock offset.
+        offset_s = (self._result.time_offset_s if self._calibrated and self._result is not None
+                    else values['time_offset'])
         excitation = self._excitation.update(
             self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
             round(values['max_gap'] * 1e9))

@@ -49,7 +49,7 @@ class ResultStore:
         Raises
         ------
         ResultError
-            The file cannot be written; the earlier ones are as they were.
+            The file or the folder cannot be written; the earlier files are as they were.
 
         """
         numbers = [number for number, _ in self._files()]
@@ -63,7 +63,7 @@ class ResultStore:
         Raises
         ------
         ResultError
-            There are files, and none can be read.
+            There are files, and none can be read, or the folder has gone.
 
         """
         failures = []
@@ -78,7 +78,13 @@ class ResultStore:
 
     def _files(self) -> list[tuple[int, Path]]:
         pattern = re.compile(rf'{re.escape(self._prefix)}_(\d+)\.yaml')
-        found = ((pattern.fullmatch(path.name), path) for path in self._folder.iterdir())
+        try:
+            paths = list(self._folder.iterdir())
+        except OSError as error:
+            raise ResultError(
+                f'{self._folder} cannot be read: {error.strerror}; put it back, or start the node '
+                'with another result_directory') from error
+        found = ((pattern.fullmatch(path.name), path) for path in paths)
         return [(int(match[1]), path) for match, path in found if match]
 
 

@@ -82,6 +82,8 @@ class SolverProcess:
         self._thread.join()
         outcome = self._outcome
         self._thread = self._outcome = None
+        if self._cancelled is not None:
+            return SolverError(self._cancelled)
         if outcome is None:
             raise SolverError('the calibration ended without an outcome')
         return outcome
@@ -118,8 +120,6 @@ class SolverProcess:
         finally:
             with self._lock:
                 self._process = None
-        if self._cancelled is not None:
-            return SolverError(self._cancelled)
         if process.returncode != 0:
             return SolverError(
                 f'the solver process ended with status {process.returncode}; its last words are '

@@ -1,0 +1,98 @@
+"""The solver process: one job at a time, stopped when asked, nothing left behind. Needs no ROS."""
+
+import os
+import threading
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import CalibrationConfig, se3, SolverError, TrajectoryError
+from trajectory_calibration.ros.buffer import Track
+from trajectory_calibration.ros.session import Calibration, CalibrationJob
+from trajectory_calibration.ros.worker import SolverProcess
+
+T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
+
+
+def track(poses, frame):
+    q = se3.rotation_to_quaternion(poses[:, :3, :3])
+    rows = np.column_stack([poses[:, :3, 3], q])
+    return Track(np.arange(len(poses)) * 10**8, rows, 'map', frame)
+
+
+def job(poses=60, solver='taylor'):
+    rng = np.random.default_rng(2)
+    a = se3.exp_se3(np.cumsum(rng.normal(size=(poses, 6)) * 0.1, axis=0))
+    return CalibrationJob(track(a, 'lidar'), track(a @ T_A_B, 'camera'),
+                          CalibrationConfig(solver=solver))
+
+
+class Waiting:
+    """A solver process and the news of its end."""
+
+    def __init__(self):
+        self.news = threading.Event()
+        self.solver = SolverProcess(done=self.news.set)
+
+    def outcome(self):
+        assert self.news.wait(60)
+        self.news.clear()
+        return self.solver.take_outcome()
+
+
+def test_jobs_are_solved_one_after_the_other():
+    waiting = Waiting()
+    for _ in range(2):
+        assert not waiting.solver.busy
+        waiting.solver.start(job(), 60.0)
+        assert waiting.solver.busy
+        outcome = waiting.outcome()
+        assert isinstance(outcome, Calibration)
+        assert np.allclose(outcome.result.T_a_b, T_A_B, atol=1e-10)
+    assert not waiting.solver.busy
+
+
+def test_a_named_error_arrives_as_it_was_raised():
+    waiting = Waiting()
+    waiting.solver.start(job(poses=1), 60.0)
+    outcome = waiting.outcome()
+    assert isinstance(outcome, TrajectoryError)
+    assert 'lidar: 1 poses received' in str(outcome)
+
+
+def test_a_process_that_dies_is_an_error(capfd):
+    waiting = Waiting()
+    # A broken job ends the process with a traceback, as a crash of a solver would.
+    waiting.solver.start('no job', 60.0)
+    outcome = waiting.outcome()
+    assert isinstance(outcome, SolverError)
+    assert 'ended with status 1' in str(outcome)
+    assert 'AttributeError' in capfd.readouterr().err
+
+
+def test_too_slow_is_an_error_and_the_process_is_gone():
+    waiting = Waiting()
+    waiting.solver.start(job(), 0.01)
+    assert 'no answer within 0.01 s' in str(waiting.outcome())
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_what_was_cancelled_stays_cancelled_even_when_it_has_just_been_solved():
+    waiting = Waiting()
+    waiting.solver.start(job(), 60.0)
+    assert waiting.news.wait(60)
+    waiting.solver.cancel('stopped by a reset')
+    assert str(waiting.outcome()) == 'stopped by a reset'
+    waiting.solver.start(job(), 60.0)
+    assert isinstance(waiting.outcome(), Calibration)
+
+
+def test_cancelling_ends_the_process_at_once():
+    waiting = Waiting()
+    waiting.solver.start(job(poses=3000, solver='dnlo'), 60.0)
+    waiting.solver.cancel('stopped by a reset')
+    assert str(waiting.outcome()) == 'stopped by a reset'
+    waiting.solver.shutdown()
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
