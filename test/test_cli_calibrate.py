@@ -11,7 +11,7 @@ from trajectory_calibration import CalibrationConfig, CalibrationResult, se3
 from trajectory_calibration.report.text import format_result, roll_pitch_yaw_deg
 from trajectory_calibration.sources.files import read_transform
 
-SOLVER = ('--solver', 'taylor')
+SOLVER = ('--solver', 'taylor', '--reference', 'B5')
 
 
 @pytest.fixture

@@ -78,8 +78,8 @@ class CalibrationConfig:
 
     """
 
-    solver: str = _option('dnlo', 'method that finds the extrinsic', choices=SOLVER_NAMES)
-    reference: str = _option('B5', f'reference pose of each motion: {REFERENCE_HELP}')
+    solver: str = _option('drift_aware', 'method that finds the extrinsic', choices=SOLVER_NAMES)
+    reference: str = _option('auto', f'reference pose of each motion: {REFERENCE_HELP}')
     association: str = _option(
         'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
         'the nearest, or (auto) interpolate, but keep to coinciding stamps where most are',
