@@ -149,8 +149,7 @@ def run_paper(benchmark: PaperBenchmark, progress: Progress) -> Path:
     records, work = _compute(benchmark, tasks, progress)
     groups = group(records)
     kitti = _run_kitti(benchmark)
-    sizes = {source: sizes_of_runs(task for task in tasks if task.source == source)
-             for source in benchmark.sources}
+    sizes = {source: sizes_of_runs(source, tasks) for source in benchmark.sources}
     drives = [] if benchmark.data is None else sizes_of_kitti(benchmark.data)
     names = [name for source in benchmark.sources for name in draw_all(
         benchmark.output / 'figures', groups, source, benchmark.solvers, sizes[source] + drives)]

@@ -35,14 +35,14 @@ class MotionSizes:
     angle_q75_deg: float
 
 
-def sizes_of_runs(tasks: Iterable[Task]) -> list[MotionSizes]:
-    """Measure the base trajectories, which are the runs without noise, all together."""
+def sizes_of_runs(source: str, tasks: Iterable[Task]) -> list[MotionSizes]:
+    """Measure the base trajectories of a source, which are its runs without noise, together."""
     pairs = []
     for task in tasks:
-        if task.kind == 'noise' and task.level == 0:
+        if (task.source, task.kind, task.level) == (source, 'noise', 0):
             a, b, _ = task.load()
             pairs.append(associate_by_interpolation(a, b, max_gap_ns=None))
-    return _measure('simulation', pairs) if pairs else []
+    return _measure(source, pairs) if pairs else []
 
 
 def sizes_of_kitti(data: Path) -> list[MotionSizes]:
