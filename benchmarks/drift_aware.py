@@ -133,7 +133,8 @@ def simulated_pairs(seeds):
 
 
 def scale_bias(seeds):
-    print('\n| white noise, m | rate, Hz | mean of scale - 1 | standard error |\n|---|---|---|---|')
+    print('\n| white noise, m | rate, Hz | mean of scale - 1 | standard error |'
+          '\n|---|---|---|---|')
     for white, rate in ((0.05, 30.0), (0.01, 5.0)):
         noise = (Noise(white=white, white_rotation=0.02),) * 2
         found = [solve_pairs(drawn(Wander(0.8, 0.5, 0.8, 0.4), 10.0, rate, noise, seed)[0],

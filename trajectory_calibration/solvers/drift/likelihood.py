@@ -97,6 +97,14 @@ def evaluate(
     return _Evaluator(chain, state, noise, columns, scale_power).run()
 
 
+def predict_step(
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the (m,) Gauss-Newton step and the (m, m) covariance only: a third of the work."""
+    solved = _Evaluator(chain, state, noise, columns, scale_power).solve()
+    return solved.step, solved.covariance + FREE_VARIANCE * solved.free
+
+
 def invert_information(
     information: FloatArray, scale: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
@@ -149,29 +157,37 @@ class _Evaluator:
                 self.kept.append(piece)
             yield first, piece
 
-    def run(self) -> Evaluation:
-        N, m = len(self.chain), self.m
+    def solve(self) -> _Solved:
+        """Solve for the global parameters, the bodies eliminated."""
+        m = self.m
         diagonal, upper, border, corner = self.normal_equations()
         system = BlockChain.factor(diagonal, upper)
         response = system.solve(border)
         schur = corner - np.tensordot(border, response, ((0, 1), (0, 1)))
         schur = 0.5 * (schur + schur.T)
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
-        power = self.scale_power * self.is_scale
-        gradient = schur[:m, m] - power / self.state.scale
-        step = -covariance @ gradient
+        gradient = schur[:m, m] - self.scale_power * self.is_scale / self.state.scale
+        return _Solved(system, border, response, schur, covariance, free, log_information,
+                       -covariance @ gradient)
+
+    def run(self) -> Evaluation:
+        N, m = len(self.chain), self.m
+        solved = self.solve()
+        system, response, schur = solved.system, solved.response, solved.schur
+        covariance, step = solved.covariance, solved.step
         quadratic = schur[m, m] + 2 * schur[:m, m] @ step + step @ schur[:m, :m] @ step
         # In the first steps of a poor start, the scale that a step leads to may be no scale.
         scale = np.maximum(self.state.scale + step, 0.1)
+        power = self.scale_power * self.is_scale
         objective = (
             N * np.linalg.slogdet(self.white)[1] + self.noise.mixture_terms(self.narrow)
-            + system.log_determinant + log_information
+            + system.log_determinant + solved.log_information
             + quadratic - 2 * power @ np.log(scale))
         posterior = self.posterior(system, response, step, covariance)
         score, traces = self.score(posterior)
         return Evaluation(
             objective=float(objective),
-            covariance=covariance + FREE_VARIANCE * free,
+            covariance=covariance + FREE_VARIANCE * solved.free,
             step_covariance=covariance,
             parameter_step=step,
             body_response=response,
@@ -179,7 +195,7 @@ class _Evaluator:
             walk_spread=posterior.walk_spread,
             score=score,
             score_information=self.score_information(
-                system, border[:, :, :m], covariance, posterior),
+                system, solved.border[:, :, :m], covariance, posterior),
             position_traces=traces,
             contributions=posterior.contributions,
         )
@@ -308,6 +324,20 @@ class _Evaluator:
         variance = np.repeat(1 / self.walk_precision, 3, axis=1)[:, :, None]
         total[WHITE:, WHITE:] += np.tensordot(walked, variance * walked, ((0, 1), (0, 1)))
         return 0.25 * (total + total.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """The factorised chain, its border and response, and the global parameters' equations."""
+
+    system: BlockChain
+    border: FloatArray
+    response: FloatArray
+    schur: FloatArray
+    covariance: FloatArray
+    free: FloatArray
+    log_information: float
+    step: FloatArray
 
 
 @dataclass(frozen=True, eq=False)

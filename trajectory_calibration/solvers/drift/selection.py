@@ -17,7 +17,7 @@ from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import quadratic
 from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, Fit, fit
-from trajectory_calibration.solvers.drift.likelihood import evaluate
+from trajectory_calibration.solvers.drift.likelihood import predict_step
 from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
 
 # Poses of the thinned chain.
@@ -221,12 +221,10 @@ def _excluded(name: str, terms: tuple[str, ...]) -> bool:
 def _gain_of_adding(best: Fit, name: str) -> float:
     """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
     columns = columns_of((*best.terms, name))
-    evaluation = evaluate(
+    predicted, every_covariance = predict_step(
         best.chain, best.state, best.noise, columns, 0.5 * best.evaluation.position_traces)
     place = _place(columns, name)
-    step = evaluation.parameter_step[place]
-    covariance = evaluation.covariance[np.ix_(place, place)]
-    return _gain(name, step, covariance)
+    return _gain(name, predicted[place], every_covariance[np.ix_(place, place)])
 
 
 def _gain_of_keeping(best: Fit, name: str) -> float:
