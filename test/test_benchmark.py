@@ -212,6 +212,14 @@ def test_a_file_cut_off_anywhere_loses_no_more_than_the_last_solver(half_done, k
     assert len(rows_of(path)) == len(whole.splitlines()) - 1
 
 
+def test_a_run_written_twice_counts_once(half_done):
+    folder, tasks = half_done
+    lines = (folder / 'runs.csv').read_text().splitlines(keepends=True)
+    (folder / 'runs.csv').write_text(''.join(lines + lines[1:9]))
+    assert len(ResultStore(folder).select(tasks)) == len(lines) - 1
+    assert (folder / 'runs.csv').read_text() == ''.join(lines)
+
+
 def test_a_solver_more_needs_only_its_own_time(half_done):
     folder, _ = half_done
     more = simulated_tasks(1, 0, (*QUICK, 'zhuang'))

@@ -95,10 +95,14 @@ class ResultStore:
             with self.path.open(encoding='utf-8', newline='', errors='replace') as stream:
                 next(stream, None)
                 self._add(_from_csv(stream))
-        whole = {
-            key: {solver: records for solver, records in solvers.items()
-                  if {item.reference for item in records} == set(references_of(solver))}
-            for key, solvers in self._records.items()}
+        whole: dict[_RunKey, dict[str, list[Record]]] = {}
+        for key, solvers in self._records.items():
+            whole[key] = {}
+            for solver, records in solvers.items():
+                # Two processes that shared the folder may have written the same run twice.
+                by_reference = {item.reference: item for item in records}
+                if set(by_reference) == set(references_of(solver)):
+                    whole[key][solver] = list(by_reference.values())
         kept = [record for solvers in whole.values() for records in solvers.values()
                 for record in records]
         temporary = self.path.with_suffix('.tmp')
