@@ -18,8 +18,11 @@ MIN_PAIRS = 3
 # Stamps closer than this are one instant: rounding to microseconds.
 COINCIDENCE_NS = 1_000_000
 
-# 'auto' keeps to poses of b this near to a pose of a where this share of them is.
+# 'auto' keeps to poses of b this near to a pose of a, or in a gap this short (the step of a
+# sensor at 10 Hz, and half of it more), where this share of all is: over longer gaps the twist
+# changes, and what interpolation guesses wrong is more than a coinciding pose is worth.
 _NEAR_NS = 10_000_000
+_SHORT_GAP_NS = 150_000_000
 _NEAR_SHARE = 0.5
 
 
@@ -35,7 +38,7 @@ class AssociationSummary:
     pairs : pairs that were formed.
     outside : poses of b before the first or after the last pose of a.
     in_gaps : poses of b inside the span of a without a pose of a near enough.
-    between : poses of b that were left out because the others coincide with poses of a.
+    between : poses of b that were left out because most others coincide with poses of a.
     median_difference_s, max_difference_s : time between a pose of b and the nearest pose of a
         over the pairs.
 
@@ -92,8 +95,9 @@ def associate(
         The parent and the child sensor.
     method : 'auto', 'interpolate' or 'nearest'
         ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates, but where
-        at least half of the poses of b lie within 10 ms of a pose of a, only there: keyframes
-        of one trigger need no guess of what happened between two poses.
+        at least half of the poses of b lie within 10 ms of a pose of a or in a gap of at most
+        0.15 s, only these: keyframes of one trigger need no guess of what happened between two
+        poses.
     max_difference_ns : int
         For 'nearest': the largest difference of stamps in a pair.
     max_gap_ns : int
@@ -156,9 +160,10 @@ def associate_by_interpolation(
     any gap), because a vehicle does not hold its twist over seconds. A pose of b that
     coincides with one of a needs no neighbour and is kept whatever the gap.
 
-    ``prefer_near`` keeps to the poses of b within 10 ms of one of a where these are at least
-    half of all. ``extrapolate`` continues the first and the last twist of a beyond its ends. It
-    exists to repeat the protocol of published tables and is wrong for anything else.
+    ``prefer_near`` keeps to the poses of b within 10 ms of one of a, or in a gap of at most
+    0.15 s, where these are at least half of all. ``extrapolate`` continues the first and the last
+    twist of a beyond its ends. It exists to repeat the protocol of published tables and is wrong
+    for anything else.
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame)
@@ -171,7 +176,7 @@ def associate_by_interpolation(
     bridged = np.ones(len(b), bool) if max_gap_ns is None else gap <= max_gap_ns
     bridged |= to_nearest <= COINCIDENCE_NS
     usable = bridged if extrapolate else bridged & ~outside
-    near = usable & (to_nearest <= _NEAR_NS)
+    near = usable & ((to_nearest <= _NEAR_NS) | (gap <= _SHORT_GAP_NS))
     share = np.count_nonzero(near) / max(1, np.count_nonzero(usable))
     between = 0
     if prefer_near and share >= _NEAR_SHARE:
