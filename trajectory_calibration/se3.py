@@ -105,7 +105,10 @@ def log_so3(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
     q = rotation_to_quaternion(rotations)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[..., 3:])
+    # A copy, because NumPy takes its vectorised or its scalar arctan2, which differ in the last
+    # bit, by where a strided operand happens to lie in memory: an answer could not be repeated.
+    cosine = np.ascontiguousarray(q[..., 3:])
+    angle = 2.0 * np.arctan2(sine, cosine)
     # angle / sine tends to 2 as the rotation vanishes.
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
     return factor * q[..., :3]
