@@ -9,9 +9,6 @@ from cli_helpers import run
 import numpy as np
 import pytest
 
-pytest.importorskip('joblib', reason='joblib is not installed')
-pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-
 from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.benchmark.claims import FAILS, HOLDS, judge, OPEN, PARTLY
 from trajectory_calibration.benchmark.comparison import compare_runs, compare_with_quartiles
@@ -48,6 +45,9 @@ from trajectory_calibration.errors import (
 )
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.simulation.files import write_bag
+
+pytest.importorskip('joblib', reason='joblib is not installed')
+pytest.importorskip('matplotlib', reason='matplotlib is not installed')
 
 QUICK = ('park', 'taylor')
 

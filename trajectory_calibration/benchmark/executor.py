@@ -50,7 +50,7 @@ class Executor:
 
     @property
     def processes(self) -> int:
-        """The number of processes of this machine."""
+        """Return the number of processes on this machine."""
         return self.jobs or os.cpu_count() or 1
 
     def map(

@@ -69,12 +69,12 @@ class KittiRecord:
 
     @property
     def errors(self) -> tuple[float, float, float, float]:
-        """The four errors in the order of ``published.ERRORS``."""
+        """Return the four errors in the order of ``published.ERRORS``."""
         return self.e_rt_m, self.e_rR_deg, self.e_at_m, self.e_aR_deg
 
     @property
     def published(self) -> tuple[float, float, float, float]:
-        """The paper's four errors, in the same order."""
+        """Return the paper's four errors, in the same order."""
         return (self.published_e_rt_m, self.published_e_rR_deg,
                 self.published_e_at_m, self.published_e_aR_deg)
 

@@ -95,7 +95,7 @@ class PaperBenchmark:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Where the trajectories come from."""
+        """Return where the trajectories come from."""
         return TRAJECTORIES[:2] if self.trajectories == 'both' else (self.trajectories,)
 
     def tasks(self) -> list[Task]:

@@ -51,7 +51,7 @@ class BagRecord:
 
     @property
     def T_a_b(self) -> FloatArray:
-        """The (4, 4) pose of b in a."""
+        """Return the (4, 4) pose of b in a."""
         return se3.from_rotation_translation(
             se3.quaternion_to_rotation([self.qx, self.qy, self.qz, self.qw]),
             [self.x_m, self.y_m, self.z_m])

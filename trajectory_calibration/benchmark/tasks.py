@@ -80,12 +80,12 @@ class Record:
 
     @property
     def cell(self) -> Cell:
-        """Where it is counted."""
+        """Return the group it is counted in."""
         return Cell(self.source, self.kind, self.level, self.solver, self.reference)
 
     @property
     def errors(self) -> tuple[float, float, float, float]:
-        """The four errors in the order of ``published.ERRORS``."""
+        """Return the four errors in the order of ``published.ERRORS``."""
         return self.e_rt_m, self.e_rR_deg, self.e_at_m, self.e_aR_deg
 
 
