@@ -69,8 +69,10 @@ class Executor:
         joblib = _load('joblib', 'benchmark')
         calls = (joblib.delayed(function)(item) for item in items)
         if self.backend == 'dask':
-            with self._connect(), joblib.parallel_config(backend='dask'):
-                yield from joblib.Parallel(return_as='generator')(calls)
+            with self._connect():
+                with joblib.parallel_config(backend='dask'):
+                    parallel = joblib.Parallel(return_as='generator')
+                yield from parallel(calls)
             return
         # One thread each: the linear algebra here is too small to share.
         with joblib.parallel_config(
