@@ -28,7 +28,7 @@ PAPER_SOLVERS = ('ali', 'park', 'taylor', 'zhuang', 'dnl', 'dnlo')
 REFERENCES = ('A', 'B1', 'B5', 'B10', 'C5', 'C10')
 
 # A solver without a reference has one row for a run. Its relative errors, which need motions to
-# be errors of, are those over the motions of the package's default reference.
+# be errors of, are those over the motions of one reference.
 REFERENCE_FREE = ('drift_aware',)
 NO_REFERENCE = '-'
 _MOTIONS_WITHOUT_REFERENCE = 'B5'
