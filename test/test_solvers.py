@@ -1,6 +1,7 @@
 """One suite of laws over every solver of relative motions, then what each promises alone."""
 
 import itertools
+import json
 
 from motion_data import perturb, random_pose, sensor_pair, stamps, wander
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.optimize import least_squares
 from trajectory_calibration import (
     calibrate,
     CalibrationConfig,
+    CalibrationError,
     ConfigError,
     MotionError,
     se3,
@@ -165,7 +167,7 @@ def test_straight_driving_is_refused(name):
         solve(name, a, b)
 
 
-@pytest.mark.parametrize('name', PAPER)
+@pytest.mark.parametrize('name', [*PAPER, 'drift_aware'])
 def test_standing_still_is_refused(name):
     still = np.tile(np.eye(4), (50, 1, 1))
     a, b = sensor_pair(np.random.default_rng(0), CAMERA, body=still)
@@ -396,3 +398,33 @@ def test_a_hundred_thousand_motions_take_seconds():
     b = Trajectory(t, body @ X, 'm', 'camera')
     for name in ('dnl', 'dnlo', 'park'):
         assert absolute_errors(solve(name, a, b).T_a_b, X).e_at < 1e-9
+
+
+# Anything ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('name', ['dnl', 'dnlo', 'park', 'drift_aware'])
+@pytest.mark.parametrize('seed', range(25))
+def test_any_two_trajectories_give_a_finite_answer_or_a_named_error(name, seed):
+    """Sizes of motion and noise over many orders, jumps, missing poses, clocks, scales."""
+    rng = np.random.default_rng(seed)
+    poses = int(rng.choice([5, 11, 30, 100, 300]))
+    a, b = sensor_pair(
+        rng, random_pose(rng, distance=10), poses=poses,
+        rotation=rng.choice([0, 1e-6, 1e-3, 0.1, 1.5], 3),
+        translation=rng.choice([0, 1e-4, 0.3, 50], 3))
+    a = perturb(rng, a, rng.choice([0, 1e-9, 0.01, 3]), rng.choice([0, 1e-9, 0.01, 0.7]))
+    kept = np.sort(rng.choice(poses, max(4, int(poses * rng.uniform(0.6, 1))), replace=False))
+    jumped = b.poses.copy()
+    jumped[poses // 2:, :3, 3] += rng.normal(size=3) * rng.choice([0, 1, 1000])
+    clock_ns = round(rng.choice([0, 0.3, 100]) * 1e9)
+    b = Trajectory(b.stamps_ns[kept] + clock_ns, jumped[kept], 'map_b', 'camera')
+    try:
+        result = calibrate(a, b.scaled(rng.choice([0.01, 1, 1, 30])), CalibrationConfig(
+            solver=name, allow_unobserved=bool(seed % 2)))
+    except CalibrationError as error:
+        assert len(str(error)) > 30
+        return
+    assert np.isfinite(result.T_a_b).all()
+    assert np.linalg.eigvalsh(result.covariance).min() >= -1e-9 * result.covariance.max()
+    json.dumps(result.to_dict(), allow_nan=False)

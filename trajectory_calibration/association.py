@@ -177,9 +177,8 @@ def associate_by_interpolation(
     bridged |= to_nearest <= COINCIDENCE_NS
     usable = bridged if extrapolate else bridged & ~outside
     near = usable & ((to_nearest <= _NEAR_NS) | (gap <= _SHORT_GAP_NS))
-    share = np.count_nonzero(near) / max(1, np.count_nonzero(usable))
     between = 0
-    if prefer_near and share >= _NEAR_SHARE:
+    if prefer_near and near.sum() >= _NEAR_SHARE * usable.sum():
         between = int(np.count_nonzero(usable & ~near))
         usable = near
     j = np.flatnonzero(usable)

@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import SolverError
+from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.solvers.drift.covariance import in_parent_axes, parameter_covariance
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
@@ -23,6 +25,9 @@ from trajectory_calibration.solvers.solution import Solution
 
 # Fewer pose pairs than this do not tell noise from extrinsic.
 MIN_POSES = 10
+
+# Change of position (metres, and relative to the distance from the origin) that is rounding.
+_NO_MOTION = 1e-9
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
@@ -51,8 +56,11 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         raise SolverError(
             f'drift_aware: {len(pairs)} pairs of poses, needed at least {MIN_POSES} to tell noise '
             'from motion; record longer or use dnl')
-    fit = estimate(pairs, terms)
-    covariance = parameter_covariance(fit)
+    _require_motion(pairs)
+    # A start that diverges overflows on its way; it is discarded, or all of them are an error.
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        fit = estimate(pairs, terms)
+        covariance = parameter_covariance(fit)
     diagnosis = diagnose(fit, covariance, pairs.stamps_ns)
     return Solution(
         T_a_b=fit.state.T_a_b,
@@ -64,3 +72,13 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,
     )
+
+
+def _require_motion(pairs: PosePairs) -> None:
+    """Raise MotionError where one of the sensors did not move at all, but for rounding."""
+    for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
+        moved = float(np.abs(poses - poses[0]).max())
+        if moved <= _NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
+            raise MotionError(
+                f'the sensors did not turn: {name} stood still over {len(pairs)} poses; drive '
+                'curves, and a ramp or a bank')
