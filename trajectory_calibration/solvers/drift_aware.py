@@ -17,9 +17,13 @@ from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.solvers.drift.covariance import in_parent_axes, parameter_covariance
+from trajectory_calibration.solvers.drift.covariance import (
+    extrinsic_covariance,
+    in_parent_axes,
+    parameter_covariance,
+)
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
-from trajectory_calibration.solvers.drift.model import EXTRINSIC, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
 from trajectory_calibration.solvers.drift.selection import estimate
 from trajectory_calibration.solvers.solution import Solution
 
@@ -61,12 +65,13 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         fit = estimate(pairs, terms)
         covariance = parameter_covariance(fit)
+        of_extrinsic = extrinsic_covariance(fit, covariance)
     diagnosis = diagnose(fit, covariance, pairs.stamps_ns)
     return Solution(
         T_a_b=fit.state.T_a_b,
         cost=fit.evaluation.objective,
         iterations=fit.iterations,
-        covariance=in_parent_axes(covariance[EXTRINSIC, EXTRINSIC], fit.state.T_a_b),
+        covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
         warnings=warnings_of(diagnosis),
         scale=fit.state.scale,
         time_offset_s=fit.state.time_offset,

@@ -14,6 +14,8 @@ import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
+from trajectory_calibration.solvers.drift.likelihood import predict_step
+from trajectory_calibration.solvers.drift.model import EXTRINSIC, TERM_COLUMNS
 
 # Blocks of consecutive poses, and how far the scatter of so few may exceed its expectation
 # before it counts: the largest eigenvalue of six parameters over twenty blocks stays below this
@@ -39,6 +41,31 @@ def parameter_covariance(fit: Fit) -> FloatArray:
     spread = root @ directions
     covariance: FloatArray = (spread * inflation) @ spread.T
     return covariance
+
+
+def extrinsic_covariance(fit: Fit, covariance: FloatArray) -> FloatArray:
+    """Return the (6, 6) covariance of the extrinsic, from that of all parameters.
+
+    Where the data prove an error of scale, a drift along the motion, one across it is as likely
+    and cannot be told from a turned sensor: b is then given a drift of that size in unknown
+    direction, and both the freedom it gives the extrinsic and the change that the data suggest
+    for it are counted as possible error.
+    """
+    found = covariance[EXTRINSIC, EXTRINSIC]
+    if 'scale' not in fit.terms or 'systematic_drift' in fit.terms:
+        return found
+    columns = columns_of([*(term for term in fit.terms if term != 'scale'), 'systematic_drift'])
+    drift = TERM_COLUMNS['systematic_drift']
+    place = np.flatnonzero((columns >= drift.start) & (columns < drift.stop))
+    step, joint = predict_step(
+        fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
+    across = joint[EXTRINSIC, place]
+    known = joint[np.ix_(place, place)]
+    assumed = known + (fit.state.scale - 1) ** 2 * np.eye(3)
+    # A drift of zero is measured, with the size of the scale's error as its deviation.
+    change = step[EXTRINSIC] - across @ np.linalg.solve(assumed, step[place])
+    freedom = across @ (np.linalg.pinv(known) - np.linalg.inv(assumed)) @ across.T
+    return found + 0.5 * (freedom + freedom.T) + np.outer(change, change)
 
 
 def in_parent_axes(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
