@@ -31,6 +31,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -38,9 +39,9 @@ from visualization_msgs.msg import MarkerArray
 from trajectory_calibration import se3
 
 __all__ = [
-    'Client', 'DescribeParameters', 'Future', 'GetParameters', 'ListParameters', 'MarkerArray',
-    'NodeProcess', 'Parameter', 'SetParameters', 'drive', 'matrix', 'parameter_value_to_python',
-    'running', 'serialize_message', 'to_message', 'to_path',
+    'Client', 'Clock', 'DescribeParameters', 'Future', 'GetParameters', 'ListParameters',
+    'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'drive', 'matrix',
+    'parameter_value_to_python', 'running', 'serialize_message', 'to_message', 'to_path',
 ]
 
 LIMIT_S = 30.0
@@ -232,10 +233,11 @@ class Client:
 
 
 @contextmanager
-def running(folder, *arguments, namespace=None):
-    """Yield a node in its own process and a client of it, in a domain of their own."""
+def running(folder, *arguments, namespace=None, domain=None):
+    """Yield a node in its own process and a client of it, by default in a domain of their own."""
     number = next(_numbers)
-    domain, namespace = 1 + number % 101, namespace or f'/test_{os.getpid()}_{number}'
+    domain = domain or 1 + number % 101
+    namespace = namespace or f'/test_{os.getpid()}_{number}'
     previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     client = Client(domain, namespace)

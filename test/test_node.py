@@ -93,6 +93,41 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
     assert np.allclose(found[:3, :3], ros.T_A_B[:3, :3], atol=1e-6)
 
 
+def test_two_nodes_for_two_pairs_run_side_by_side(tmp_path):
+    other = np.linalg.inv(ros.T_A_B)
+    with (ros.running(tmp_path, *TAYLOR) as (_, one),
+          ros.running(tmp_path, *TAYLOR, domain=one.domain) as (_, two)):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        one.publish_drive(stamps_ns, poses_a, poses_b)
+        two.publish_drive(stamps_ns, poses_b, poses_a)
+        found = []
+        for client in (one, two):
+            extrinsic = client.latched()
+            assert client.call('calibrate').success
+            client.wait(lambda extrinsic=extrinsic: extrinsic, 'the extrinsic')
+            found.append(ros.matrix(extrinsic[0]))
+    assert np.allclose(found[0], ros.T_A_B, atol=1e-10)
+    assert np.allclose(found[1], other, atol=1e-10)
+
+
+def test_simulated_time_stamps_the_answer_and_stops_nothing(tmp_path):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'use_sim_time:=true') as (_, client):
+        clock = client.node.create_publisher(ros.Clock, '/clock', 10)
+        client.publish_drive(*ros.drive())
+        client.wait(lambda: clock.get_subscription_count() > 0, 'the node on /clock')
+        message = ros.Clock()
+        message.clock.sec = 1234
+        extrinsic = client.latched()
+
+        def stamped():
+            clock.publish(message)
+            assert client.call('calibrate').success
+            return extrinsic and extrinsic[-1].header.stamp.sec == 1234
+
+        client.wait(stamped, 'an answer at the time of /clock')
+    assert np.allclose(ros.matrix(extrinsic[-1]), ros.T_A_B, atol=1e-10)
+
+
 def test_reset_starts_a_new_collection(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive()
