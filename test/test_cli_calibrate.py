@@ -62,7 +62,9 @@ def test_text_shows_the_transform_and_the_warnings_first(files, tmp_path, capsys
     assert words['rotation'] == f'roll {roll:.3f}  pitch {pitch:.3f}  yaw {yaw:.3f} deg'
     assert '0.0000 m, 0.000 deg, against the ground truth' in words['absolute']
     assert '80 pairs (interpolate) of 80 and 80 poses, 75 motions' in words['data']
-    assert words['method'].startswith('taylor, reference B5')
+    assert words['method'].startswith('taylor, version')
+    assert words['reference'] == 'B5'
+    assert words['observed'] == 'all six directions'
 
 
 def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):

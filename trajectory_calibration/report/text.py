@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration import se3
-from trajectory_calibration.observability import Observability
+from trajectory_calibration.observability import Observability, OBSERVED
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.se3 import FloatArray
 
@@ -27,8 +27,11 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         sigma = np.sqrt(np.diagonal(result.covariance))
         rows['1 sigma'] = (f'{_named(sigma[:3], "xyz", 4)} m, rotation about '
                            f'{_named(np.rad2deg(sigma[3:]), "xyz", 3)} deg')
-    rows['relative error'] = (f'{result.metrics.e_rt:.4f} m, '
-                              f'{np.rad2deg(result.metrics.e_rR):.3f} deg, mean over the motions')
+    rows['observed'] = _describe_status(result.observability)
+    reference = result.reference or result.config.reference
+    rows['relative error'] = (
+        f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg, mean over the '
+        f'motions at {reference}')
     if T_a_b_true is not None:
         error = result.absolute_errors(T_a_b_true)
         rows['absolute error'] = (f'{error.e_at:.4f} m, {np.rad2deg(error.e_aR):.3f} deg, '
@@ -36,16 +39,13 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     rows['turned about'] = (
         f'{_named(result.observability.excitation_deg, "xyz", 2)} deg, axes of {a}, root mean '
         'square per motion')
-    rows['sensitivity'] = _describe_gain(result.observability)
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
         rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
     if result.time_offset_s:
         rows['time offset'] = f'{result.time_offset_s:.4f} s on {b}'
-    rows['method'] = (f'{result.config.solver}, reference '
-                      f'{result.reference or result.config.reference}, version {result.version}')
-    if result.reference_choice:
-        rows['reference'] = result.reference_choice
+    rows['method'] = f'{result.config.solver}, version {result.version}'
+    rows['reference'] = result.reference_choice or reference
     lines = [f'warning: {warning}' for warning in result.warnings]
     if lines:
         lines.append('')
@@ -97,13 +97,16 @@ def to_yaml(data: dict[str, Any]) -> str:
     return stream.getvalue()
 
 
-def _describe_gain(observability: Observability) -> str:
-    """Return how much an error of the translation changes the residuals, weakest axis first."""
-    along = ', '.join(
-        f'{gain:.3f} along ({", ".join(f"{component:.2f}" for component in axis)})'
-        for gain, axis in zip(
-            observability.translation_gain, observability.translation_axes, strict=True))
-    return f'{along} (metres of residual per metre of translation)'
+def _describe_status(observability: Observability) -> str:
+    """Return which directions the motion determined, and which badly or not."""
+    by_status: dict[str, list[str]] = {}
+    for name, status in observability.status.items():
+        by_status.setdefault(status, []).append(name)
+    observed = by_status.pop(OBSERVED, [])
+    if not by_status:
+        return 'all six directions'
+    rest = '; '.join(f'{status}: {", ".join(names)}' for status, names in by_status.items())
+    return f'{", ".join(observed) or "none"}; {rest}'
 
 
 def _describe_data(result: CalibrationResult) -> str:
