@@ -1,5 +1,6 @@
 """What is known beforehand enters as one more residual, and nothing else changes."""
 
+from motion_data import perturb, random_pose, sensor_pair
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -154,3 +155,17 @@ def test_a_weak_prior_counts_little():
     held, _ = run_with(SCENARIOS['drone'], 2, solver='dnl', prior_translation='0,0,0',
                        prior_translation_std='10')
     np.testing.assert_allclose(held.T_a_b, free.T_a_b, atol=1e-5)
+
+
+def test_a_prior_that_contradicts_the_motion_is_said():
+    rng = np.random.default_rng(5)
+    X = random_pose(rng)
+    a, b = sensor_pair(rng, X)
+    a, b = perturb(rng, a, 1e-3, 1e-3), perturb(rng, b, 1e-3, 1e-3)
+    for off, expected in ((0.0, 0), (0.5, 1)):
+        warnings = calibrate(a, b, CalibrationConfig(
+            solver='dnl', prior_translation=f'-,-,{X[2, 3] + off}',
+            prior_translation_std='0.01')).warnings
+        said = [warning for warning in warnings if 'one of them is wrong' in warning]
+        assert len(said) == expected
+    assert said[0].startswith('the prior of the translation z is 0.5')

@@ -7,7 +7,7 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe
-from trajectory_calibration.priors import apply_prior
+from trajectory_calibration.priors import apply_prior, contradictions
 from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
@@ -93,6 +93,7 @@ def calibrate(
             *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
             *_offset_warning(time_offset, config.time_offset, trajectory_b),
             *solution.warnings,
+            *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
             *uncertainty.warnings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
             *observability.warnings,
         ),

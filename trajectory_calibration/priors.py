@@ -20,6 +20,9 @@ _OPEN = '-'
 # A fixed component: small enough to be exact, large enough to divide by.
 _FIXED = 1e-12
 
+# A prior this many standard deviations from the motion contradicts it.
+_CONTRADICTION = 4.0
+
 # The correction of an answer by a prior is linear in the rotation up to about this, degrees.
 _LARGEST_TURN_DEG = 15.0
 
@@ -128,6 +131,27 @@ def apply_prior(
     # Joseph's form stays symmetric and positive.
     posterior = rest @ covariance @ rest.T + gain @ noise @ gain.T
     return _moved(T_a_b, step), 0.5 * (posterior + posterior.T)
+
+
+def contradictions(
+    T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
+) -> tuple[str, ...]:
+    """Say where the prior is far from the answer of the motion alone, for the uncertainty of both.
+
+    Combined, two that contradict each other give an answer that neither of them supports.
+    """
+    found = []
+    deviation = prior.deviation(T_a_b)
+    for k in np.flatnonzero(np.isfinite(prior.std)):
+        both = float(np.sqrt(covariance[k, k] + prior.std[k] ** 2))
+        distance = abs(float(deviation[k]))
+        if distance > _CONTRADICTION * both:
+            what = (f'translation {"xyz"[k]} is {distance:.3g} m' if k < 3 else
+                    f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
+            found.append(
+                f'the prior of the {what} from what the motion says, {distance / both:.0f} '
+                'standard deviations of both: one of them is wrong, and the answer is between')
+    return tuple(found)
 
 
 def _observation(deviation: FloatArray, step: FloatArray) -> FloatArray:
