@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from io import StringIO
 import os
 from pathlib import Path
 import tempfile
@@ -199,6 +200,19 @@ class CalibrationResult:
         return cls.from_dict(data)
 
 
+def to_yaml(data: dict[str, Any]) -> str:
+    """Return plain data as YAML, keys in their own order."""
+    # Loads here because most uses of a result never touch YAML.
+    from ruamel.yaml import YAML
+    yaml = YAML(typ='safe', pure=True)
+    yaml.representer.sort_base_mapping_type_on_output = False
+    yaml.default_flow_style = None
+    yaml.width = 99
+    stream = StringIO()
+    yaml.dump(data, stream)
+    return stream.getvalue()
+
+
 def write_yaml(path: Path, data: dict[str, Any]) -> None:
     """Write plain data as YAML through a temporary file in the same folder and a rename.
 
@@ -208,18 +222,13 @@ def write_yaml(path: Path, data: dict[str, Any]) -> None:
         The file cannot be written.
 
     """
-    from ruamel.yaml import YAML
-    yaml = YAML(typ='safe', pure=True)
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.default_flow_style = None
-    yaml.width = 99
     temporary = None
     try:
         with tempfile.NamedTemporaryFile(
                 'w', encoding='utf-8', dir=path.parent, prefix=f'.{path.name}.',
                 delete=False) as stream:
             temporary = Path(stream.name)
-            yaml.dump(data, stream)
+            stream.write(to_yaml(data))
             stream.flush()
             os.fsync(stream.fileno())
         # mkstemp makes the file private; give it what any new file of this user gets.

@@ -10,8 +10,8 @@ from trajectory_calibration.cli.options import add_config_options, config_from_a
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.pipeline import calibrate
-from trajectory_calibration.report.text import format_result, to_yaml
-from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.report.text import format_result
+from trajectory_calibration.result import CalibrationResult, to_yaml
 from trajectory_calibration.se3 import FloatArray, rotation_to_quaternion
 from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
 from trajectory_calibration.trajectory import Trajectory

@@ -10,7 +10,7 @@ from typing import Any
 
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.errors import ConfigError, TopicError
-from trajectory_calibration.report.text import to_yaml
+from trajectory_calibration.result import to_yaml
 
 _NODE_NAME = 'trajectory_calibration'
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -82,19 +81,6 @@ def format_inspection(found: dict[str, Any]) -> str:
             item['topic']: item.get('error') or f'{item["msgtype"]}, {item["messages"]} messages'
             for item in found['other']})
     return '\n'.join(lines) + '\n'
-
-
-def to_yaml(data: dict[str, Any]) -> str:
-    """Return plain data as YAML."""
-    # The YAML library loads here because most runs need none.
-    from ruamel.yaml import YAML
-    yaml = YAML(typ='safe', pure=True)
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.default_flow_style = None
-    yaml.width = 99
-    stream = StringIO()
-    yaml.dump(data, stream)
-    return stream.getvalue()
 
 
 def _describe_status(observability: Observability) -> str:
