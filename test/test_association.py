@@ -154,6 +154,9 @@ def test_no_overlap_names_the_ends_and_the_offset():
     ends = 'lidar ends at 1700000009.900 s, camera starts at 1700003600.000 s'
     assert f'no overlap in time: {ends}' in str(error.value)
     assert 'set time_offset to about -3600.000' in str(error.value)
+    # The advice is a setting: it holds what is set already.
+    with pytest.raises(AssociationError, match=r'set time_offset to about -3600\.000'):
+        calibrate(a, later, CalibrationConfig(time_offset=100.0))
     result = calibrate(a, later, CalibrationConfig(solver='dnl', time_offset=-3600.0))
     assert result.poses == 100
 

@@ -129,7 +129,7 @@ def associate_nearest(
     of a.
     """
     stamps_b = b.stamps_ns + time_offset_ns
-    _require_overlap(a, stamps_b, b.sensor_frame)
+    _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
     nearest_a = _nearest(a.stamps_ns, stamps_b)
     nearest_b = _nearest(stamps_b, a.stamps_ns)
     mutual = nearest_b[nearest_a] == np.arange(len(b))
@@ -166,7 +166,7 @@ def associate_by_interpolation(
     for anything else.
     """
     stamps_b = b.stamps_ns + time_offset_ns
-    _require_overlap(a, stamps_b, b.sensor_frame)
+    _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
     right = np.clip(np.searchsorted(a.stamps_ns, stamps_b), 1, len(a) - 1)
     left = right - 1
     gap = a.stamps_ns[right] - a.stamps_ns[left]
@@ -204,7 +204,9 @@ def _outside(a: Trajectory, stamps_b: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (stamps_b < a.stamps_ns[0]) | (stamps_b > a.stamps_ns[-1])
 
 
-def _require_overlap(a: Trajectory, stamps_b: NDArray[np.int64], name_b: str) -> None:
+def _require_overlap(
+    a: Trajectory, stamps_b: NDArray[np.int64], name_b: str, time_offset_ns: int,
+) -> None:
     start_a, end_a = int(a.stamps_ns[0]), int(a.stamps_ns[-1])
     start_b, end_b = int(stamps_b[0]), int(stamps_b[-1])
     if start_b <= end_a and start_a <= end_b:
@@ -216,7 +218,8 @@ def _require_overlap(a: Trajectory, stamps_b: NDArray[np.int64], name_b: str) ->
     offset = (start_a - start_b) * 1e-9
     raise AssociationError(
         f'no overlap in time: {order}; looks like an offset of {offset:.3f} s between the '
-        f'starts; if both recorded the same drive, set time_offset to about {offset:.3f}')
+        f'starts; if both recorded the same drive, set time_offset to about '
+        f'{offset + time_offset_ns * 1e-9:.3f}')
 
 
 def _require_pairs(summary: AssociationSummary, why: str) -> None:
