@@ -70,7 +70,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            f'calibration_node = {NAME}.ros.node:main',
+            f'calibration_node = {NAME}.ros.executable:main',
             f'{NAME} = {NAME}.cli.main:main',
         ],
     },

@@ -1,0 +1,20 @@
+"""The executable ``calibration_node``: the node, or what to do where ROS is missing."""
+
+from __future__ import annotations
+
+import sys
+
+
+def main() -> int:
+    """Run the node; return its exit status, 2 where ROS cannot be imported."""
+    try:
+        from trajectory_calibration.ros.node import main as run
+    except ModuleNotFoundError as error:
+        if (error.name or '').startswith('trajectory_calibration'):
+            raise
+        sys.stderr.write(
+            f'error: the node needs ROS 2 Jazzy, found no {error.name}; source '
+            '/opt/ros/jazzy/setup.bash, or on a machine without ROS pip install '
+            'ros-jazzy-common-interfaces "ros-jazzy-rclpy[fastrtps]"\n')
+        return 2
+    return run()
