@@ -57,7 +57,6 @@ class Evaluation:
     objective : -2 log of the restricted likelihood, up to a constant.
     covariance : (m, m), of the global parameters; along a direction that the data leave free the
         variance is ``FREE_VARIANCE``.
-    step_covariance : (m, m), the same with no variance along such directions: nothing moves there.
     parameter_step : (m,), the Gauss-Newton step of the global parameters.
     body_response : (N, 6, m + 1), the step of the bodies is ``-(last column + rest @ step)``.
     walk_squares, walk_spread : (N - 1, 2), of the expected walk of each step, translation and
@@ -70,7 +69,6 @@ class Evaluation:
 
     objective: float
     covariance: FloatArray
-    step_covariance: FloatArray
     parameter_step: FloatArray
     body_response: FloatArray
     walk_squares: FloatArray
@@ -188,7 +186,6 @@ class _Evaluator:
         return Evaluation(
             objective=float(objective),
             covariance=covariance + FREE_VARIANCE * solved.free,
-            step_covariance=covariance,
             parameter_step=step,
             body_response=response,
             walk_squares=posterior.walk_squares,
