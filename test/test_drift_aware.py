@@ -2,7 +2,7 @@
 
 from motion_data import random_pose
 import numpy as np
-from published import trajectory
+from published import kitti, SEQUENCES, simulations
 import pytest
 
 from trajectory_calibration import se3, Trajectory
@@ -13,7 +13,6 @@ from trajectory_calibration.metrics import absolute_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.solvers.drift_aware import solve_pairs
-from trajectory_calibration.sources.files import read_transform
 
 FIXED = dict.fromkeys(('scale', 'systematic_drift', 'time_offset'), 'fixed')
 AUTO = dict.fromkeys(FIXED, 'auto')
@@ -248,19 +247,19 @@ def test_thinned_first_then_all_poses():
     np.testing.assert_allclose(solution.diagnosis.white_m, 0.01, rtol=0.05)
 
 
-@pytest.mark.parametrize(('folder', 'metres', 'degrees'), [
-    ('mixture', 0.0085, 0.26),
-    ('outliers/outliers_10', 0.0005, 0.01),
-    ('drift/drift_0.050000', 0.001, 0.01),
-    ('noise/noise_0.010000', 0.0070, 0.31),
+@pytest.mark.parametrize(('case', 'metres', 'degrees'), [
+    (('mixture', None), 0.0085, 0.26),
+    (('outliers', 10), 0.0005, 0.01),
+    (('drift', 0.05), 0.001, 0.01),
+    (('noise', 0.01), 0.0070, 0.31),
 ])
-def test_published_simulations(shared_data, folder, metres, degrees):
+def test_published_simulations(shared_data, case, metres, degrees):
     errors = []
-    for run in sorted((shared_data / 'simulation' / folder).glob('run_*')):
-        a, b = (trajectory(run / name, name) for name in ('T_S1_W1.txt', 'T_S2_W2.txt'))
+    for kind, level, _, a, b, T_a_b in simulations(shared_data):
+        if (kind, level) != case:
+            continue
         pairs = associate_nearest(a, b, max_difference_ns=1_000_000)
-        found = absolute_errors(
-            solve_pairs(pairs, AUTO).T_a_b, read_transform(run / 'T_S2_S1.txt'))
+        found = absolute_errors(solve_pairs(pairs, AUTO).T_a_b, T_a_b)
         errors.append([found.e_at, np.rad2deg(found.e_aR)])
     assert len(errors) == 19
     median = np.median(errors, axis=0)
@@ -269,14 +268,11 @@ def test_published_simulations(shared_data, folder, metres, degrees):
 
 
 def test_kitti_cameras_at_coinciding_stamps(shared_data):
-    drive = shared_data / 'kitti' / '2011_10_03_drive_0027'
-    a, b = (trajectory(drive / camera / 'KeyFrameTrajectory_TUM_Format.txt', camera)
-            for camera in ('cam01', 'cam23'))
+    a, b, T_a_b = kitti(shared_data, SEQUENCES[1])
     # One hardware trigger, stamped 6.14 ms apart.
     pairs = associate_nearest(a, b, max_difference_ns=12_000_000)
     solution = solve_pairs(pairs, AUTO)
-    file = absolute_errors(solution.T_a_b, read_transform(
-        drive / 'camera_color_left_in_camera_gray_left.txt'))
+    file = absolute_errors(solution.T_a_b, T_a_b)
     corrected = absolute_errors(solution.T_a_b, se3.from_rotation_translation(
         np.eye(3), np.array([-0.0599, 0.0011, -0.0038])))
     assert file.e_at <= 0.070
