@@ -42,6 +42,8 @@ def test_interrupt_is_quiet(tmp_path):
     os.mkfifo(fifo)
     with subprocess.Popen(
             [*COMMAND, 'inspect', str(fifo)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            # Where a shell runs the tests in the background, children would ignore the signal.
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         # Opening for writing returns when the process has opened the other end.
         with fifo.open('wb'):
