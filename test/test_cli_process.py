@@ -37,13 +37,20 @@ def test_failure_as_a_process(tmp_path):
     assert done.stderr.count('\n') == 1
 
 
+@pytest.fixture
+def interruptible():
+    """Where a shell runs the tests in the background, children would ignore the signal."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures('interruptible')
 def test_interrupt_is_quiet(tmp_path):
     fifo = tmp_path / 'a.txt'
     os.mkfifo(fifo)
     with subprocess.Popen(
             [*COMMAND, 'inspect', str(fifo)], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            # Where a shell runs the tests in the background, children would ignore the signal.
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         # Opening for writing returns when the process has opened the other end.
         with fifo.open('wb'):

@@ -20,7 +20,7 @@ from trajectory_calibration.se3 import FloatArray
 
 AUTOMATIC = 'auto'
 REFERENCE_HELP = ('A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n), '
-                  'auto (the n of B<n> with the smallest predicted error)')
+                  'auto (the one with the smallest expected error)')
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,19 @@
 """Which reference to take: short motions drown in white noise, long ones in drift and jumps.
 
 The errors of the relative motions do not tell which reference gives the better extrinsic. The
-noise does: identified once from the disagreement of the two trajectories (``pair_noise``), it
-goes through the equations of the solver with each reference in turn (``predict_covariance``),
-correlated pairs and the bias of noisy rotations included, and the smallest predicted error of
-the translation wins. The solver runs up to three times more than without ``auto``.
+noise does. ``drift_aware`` identifies it and gives, with it, all that the data say of the
+extrinsic: a mean ``x`` and a covariance ``P``. Reporting another answer ``x_n`` then costs, by
+what is known,
+
+    E |x_n - truth|^2 = |x_n - x|^2 + tr P,
+
+which is what a solver's answer at each reference is judged by: the one with the smallest
+expected error of the translation wins. Against a covariance predicted from the identified noise
+alone this also counts what the noise happened to be in these data, and errors that no solver's
+equations know of, as jumps, a scale, a steady drift.
+
+J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
+expected loss).
 """
 
 from __future__ import annotations
@@ -12,25 +21,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from trajectory_calibration import se3
 from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import MotionError
-from trajectory_calibration.motions import AUTOMATIC, MotionPairs, select_motions
-from trajectory_calibration.pair_noise import identify_noise
+from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.excitation import thinned, thinning
+from trajectory_calibration.motions import AUTOMATIC, parse_reference, select_motions
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers import load_solver, WITHOUT_REFERENCE
-from trajectory_calibration.uncertainty import predict_covariance, spanned_steps
+from trajectory_calibration.solvers import drift_aware, load_solver, WITHOUT_REFERENCE
+from trajectory_calibration.uncertainty import estimate_uncertainty
 
-# Spacings that are compared: about 1.4 times each other, up to a quarter of the poses.
-_SPACINGS = (1, 2, 3, 4, 6, 8, 11, 15, 20, 30, 40, 60, 80)
+# References that are compared, as far as n is no more than a quarter of the poses.
+_CANDIDATES = ('A', 'B1', 'B2', 'B3', 'B5', 'B8', 'B12', 'B20', 'B30', 'B50', 'B80',
+               'C5', 'C10', 'C20')
 _LARGEST_SHARE = 0.25
 
-# The spacing of the first look, which identifies the noise.
-_FIRST = 5
-_ROUNDS = 3
+# The reference where none can be preferred.
+_USUAL = 5
+
+# Poses and motions that are enough to tell references apart.
+_ENOUGH = 10_000
 
 # How many of the other candidates the explanation names.
 _NAMED = 3
@@ -52,7 +62,7 @@ class ReferenceChoice:
 
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
-    """Return the reference of the configuration, or for ``auto`` the best by prediction.
+    """Return the reference of the configuration, or for ``auto`` the best by expectation.
 
     Raises
     ------
@@ -62,59 +72,54 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     """
     if config.reference != AUTOMATIC:
         return ReferenceChoice(config.reference)
-    reference = f'B{max(1, min(_FIRST, (len(pairs) - 1) // 2))}'
+    usual = f'B{max(1, min(_USUAL, (len(pairs) - 1) // 2))}'
     if config.solver in WITHOUT_REFERENCE:
-        return ReferenceChoice(reference, f'{config.solver} needs no reference')
-    choice = ReferenceChoice(reference)
-    for _ in range(_ROUNDS):
-        # An error of the extrinsic looks like drift; a look from a better one sees less of it.
-        looked, choice = choice, _improve(pairs, config, choice.reference)
-        if looked.reference == choice.reference:
-            break
-    return choice
-
-
-def _improve(pairs: PosePairs, config: CalibrationConfig, reference: str) -> ReferenceChoice:
-    """Choose by the noise that shows with the extrinsic found at one reference."""
-    motions = select_motions(pairs, reference)
-    solution = load_solver(config.solver)(motions, config)
-    if solution.linearise is None:
-        return ReferenceChoice(reference, f'{config.solver} tells no equations to predict from')
-    X = solution.T_a_b
-    kept = np.ones(len(motions), dtype=bool) if solution.inliers is None else solution.inliers
-    usable = spanned_steps(motions, kept)
-    noise = identify_noise(pairs.poses_a, X @ pairs.poses_b @ se3.inverse(X), usable)
-    predicted: dict[str, float] = {}
-    for spacing in _SPACINGS:
-        if spacing > max(1, _LARGEST_SHARE * len(pairs)):
-            break
-        motions = select_motions(pairs, f'B{spacing}')
-        weights = _within(motions, usable)
-        # A solver that rejects must keep its share; one that cannot has jumps in its answer.
-        if weights.mean() < config.dnlo_min_inliers and solution.inliers is not None:
+        return ReferenceChoice(usual, f'{config.solver} needs no reference')
+    try:
+        mean, spread, seen = _known_translation(pairs, config)
+    except SolverError as error:
+        return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
+    expected: dict[str, float] = {}
+    for reference in _CANDIDATES:
+        if parse_reference(reference)[1] > max(1, _LARGEST_SHARE * len(pairs)):
             continue
-        covariance = predict_covariance(X, motions, noise, solution.linearise, weights)
-        predicted[motions.reference] = float(np.sqrt(np.trace(covariance[:3, :3])))
-    if not predicted:
-        raise MotionError(
-            f'reference auto: {len(pairs)} pairs of poses leave no motion to compare; record '
-            'longer or give a reference')
-    return _choice(predicted)
+        motions = thinned(select_motions(pairs, reference), _ENOUGH)
+        try:
+            found = load_solver(config.solver)(motions, config).T_a_b[:3, 3]
+        except (MotionError, SolverError):
+            # Another reference may do; where none does, the usual one says why.
+            continue
+        expected[reference] = float(np.sqrt(np.sum((seen @ (found - mean))**2) + spread))
+    return _choice(expected) if expected else ReferenceChoice(usual)
 
 
-def _within(motions: MotionPairs, usable: NDArray[np.bool_]) -> FloatArray:
-    """Return (M,) one for motions across usable steps only, else zero."""
-    bad = np.concatenate([[0], np.cumsum(~usable)])
-    return (bad[motions.j] == bad[motions.i]).astype(np.float64)
+def _known_translation(
+    pairs: PosePairs, config: CalibrationConfig,
+) -> tuple[FloatArray, float, FloatArray]:
+    """Return what is known of the translation: mean, variance, and in which directions.
+
+    The (3, 3) projection leaves out directions that the motion did not show: there no answer is
+    better than another.
+    """
+    keep = thinning(len(pairs), _ENOUGH)
+    pairs = PosePairs(
+        pairs.stamps_ns[keep], pairs.poses_a[keep], pairs.poses_b[keep], pairs.summary)
+    motions = select_motions(pairs, 'B1')
+    solution = drift_aware.solve(motions, config)
+    covariance = estimate_uncertainty(solution, motions).covariance[:3, :3]
+    variances, axes = np.linalg.eigh(covariance)
+    known = variances < config.unobserved_translation**2
+    seen: FloatArray = axes[:, known] @ axes[:, known].T
+    return solution.T_a_b[:3, 3], float(variances[known].sum()), seen
 
 
-def _choice(predicted: dict[str, float]) -> ReferenceChoice:
-    best = min(predicted, key=lambda name: predicted[name])
-    others = [name for name in predicted if name != best]
+def _choice(expected: dict[str, float]) -> ReferenceChoice:
+    best = min(expected, key=lambda name: expected[name])
+    others = [name for name in expected if name != best]
     named = others[::max(1, -(-len(others) // _NAMED))]
-    text = f'{best}: predicted {_length(predicted[best])}'
+    text = f'{best}: predicted {_length(expected[best])}'
     if named:
-        text += '; ' + ', '.join(f'{name} {_length(predicted[name])}' for name in named)
+        text += '; ' + ', '.join(f'{name} {_length(expected[name])}' for name in named)
     return ReferenceChoice(best, text)
 
 
