@@ -15,10 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.averaging import average, Gaussian
+from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaussian, joined, weigh
 from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
 from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation
-from trajectory_calibration.solvers.drift.model import EXTRINSIC, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.model import EXTRINSIC
+from trajectory_calibration.solvers.drift.selection import RIVALS
 
 # Blocks of consecutive poses, and how far the scatter of so few may exceed its expectation
 # before it counts. The largest eigenvalue of m parameters over n blocks is near
@@ -45,16 +46,34 @@ def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0)
     It is about the answer of the fit and counts the ``optional`` terms that were left out, or
     taken in, by their probability; see ``averaging.py``.
     """
-    terms = [name for name in TERM_COLUMNS if name in optional or name in fit.terms]
-    if not optional:
-        return parameter_covariance(fit, excess)[EXTRINSIC, EXTRINSIC]
+    time_offset = 'time_offset' if 'time_offset' in optional else None
+    sure = [name for name in fit.terms if name not in optional]
+    if 'systematic_drift' in fit.terms:
+        # An error of scale was judged the worse explanation.
+        optional = [name for name in optional if name != 'scale']
+    found = {
+        name: weigh(
+            _likelihood(fit, [*sure, *filter(None, (name, time_offset))], excess), fit.state,
+            name, time_offset,
+            drift_for_scale(fit.chain.step_translation, fit.state.scale)
+            if name == 'systematic_drift' and 'scale' in optional else 0.0)
+        for name in RIVALS if name in optional}
+    if len(found) == 2:
+        return joined(*found.values()).mean()
+    if found:
+        return found.popitem()[1].mean()
+    if time_offset:
+        return weigh(_likelihood(fit, [*sure, time_offset], excess), fit.state, None,
+                     time_offset).mean()
+    return parameter_covariance(fit, excess)[EXTRINSIC, EXTRINSIC]
+
+
+def _likelihood(fit: Fit, terms: Sequence[str], excess: float) -> Gaussian:
     columns = columns_of(terms)
     evaluation = evaluate(
         fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
-    found = Gaussian(
-        columns, evaluation.parameter_step, _widened(evaluation.covariance, evaluation, excess))
-    false_information = 0.5 * evaluation.position_traces / fit.state.scale**2 / excess
-    return average(found, fit.state, optional, false_information)
+    model = scale_covariance(evaluation.covariance, evaluation, columns, fit.state.scale)
+    return Gaussian(columns, evaluation.parameter_step, _widened(model, evaluation, excess))
 
 
 def _widened(model: FloatArray, evaluation: Evaluation, excess: float) -> FloatArray:

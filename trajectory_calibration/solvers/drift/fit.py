@@ -137,17 +137,10 @@ def scale_covariance(
     place = np.flatnonzero(columns == TERM_COLUMNS['scale'].start)
     if not len(place):
         return covariance
-    return without_information(covariance, place, 0.5 * evaluation.position_traces / scale**2)
-
-
-def without_information(
-    covariance: FloatArray, place: IndexArray, information: float,
-) -> FloatArray:
-    """Return a (m, m) covariance with less information about the one parameter at ``place``."""
     column = covariance[:, place]
     variance = float(covariance[place, place][0])
     # Near nothing but noise, keep the result finite.
-    false_share = min(information * variance, 0.7)
+    false_share = min(0.5 * evaluation.position_traces / scale**2 * variance, 0.7)
     corrected: FloatArray = covariance + column @ column.T * (
         false_share / variance / (1 - false_share))
     return corrected
