@@ -17,6 +17,7 @@ from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.solvers.drift.consistency import check_lags
 from trajectory_calibration.solvers.drift.covariance import (
     extrinsic_covariance,
     in_parent_axes,
@@ -24,7 +25,7 @@ from trajectory_calibration.solvers.drift.covariance import (
 )
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
 from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
-from trajectory_calibration.solvers.drift.selection import estimate
+from trajectory_calibration.solvers.drift.selection import estimate, optional_terms
 from trajectory_calibration.solvers.solution import Solution
 
 # Fewer pose pairs than this do not tell noise from extrinsic.
@@ -64,15 +65,16 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
         fit = estimate(pairs, terms)
-        covariance = parameter_covariance(fit)
-        of_extrinsic = extrinsic_covariance(fit, covariance)
+        lags = check_lags(fit)
+        covariance = parameter_covariance(fit, lags.excess)
+        of_extrinsic = extrinsic_covariance(fit, optional_terms(terms), lags.excess)
     diagnosis = diagnose(fit, covariance, pairs.stamps_ns)
     return Solution(
         T_a_b=fit.state.T_a_b,
         cost=fit.evaluation.objective,
         iterations=fit.iterations,
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
-        warnings=warnings_of(diagnosis),
+        warnings=(*warnings_of(diagnosis), *lags.warnings(fit.state.T_a_b)),
         scale=fit.state.scale,
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,

@@ -5,67 +5,92 @@ seconds, which the model takes for independent. The contributions of all poses t
 at the minimum show it: summed over blocks, their scatter has the model's information as its
 expectation, or more where neighbours agree (a sandwich estimate over blocks; H. R. Kuensch,
 Annals of Statistics 17(3), 1989, doi:10.1214/aos/1176347265). Direction by direction the larger
-of the two is reported.
+of the two is reported, and no less than what the lags disagree by (``consistency.py``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaussian, joined, weigh
 from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
-from trajectory_calibration.solvers.drift.likelihood import predict_step
-from trajectory_calibration.solvers.drift.model import EXTRINSIC, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation
+from trajectory_calibration.solvers.drift.model import EXTRINSIC
+from trajectory_calibration.solvers.drift.selection import RIVALS
 
 # Blocks of consecutive poses, and how far the scatter of so few may exceed its expectation
-# before it counts: the largest eigenvalue of six parameters over twenty blocks stays below this
-# in nineteen of twenty data sets whose noise is the model's.
+# before it counts. The largest eigenvalue of m parameters over n blocks is near
+# (1 + sqrt(m / (n - 1)))^2; it stays below this many times that in 99 of 100 data sets
+# whose noise is the model's (m from 6 to 11).
 BLOCKS = 20
-_SIGNIFICANT = 3.0
+_SIGNIFICANT = 1.25
 
 
-def parameter_covariance(fit: Fit) -> FloatArray:
-    """Return the (m, m) covariance of the estimated global parameters, right perturbations."""
+def parameter_covariance(fit: Fit, excess: float = 1.0) -> FloatArray:
+    """Return the (m, m) covariance of the estimated global parameters, right perturbations.
+
+    ``excess`` is how many times larger than identified the variances of the noise are.
+    """
     columns = columns_of(fit.terms)
     evaluation = fit.evaluation
     model = scale_covariance(evaluation.covariance, evaluation, columns, fit.state.scale)
-    if len(fit.chain) < 2 * BLOCKS:
-        return model
+    return _widened(model, evaluation, excess)
+
+
+def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0) -> FloatArray:
+    """Return the (6, 6) covariance of the extrinsic, whichever terms the data should have.
+
+    It is about the answer of the fit and counts the ``optional`` terms that were left out, or
+    taken in, by their probability; see ``averaging.py``.
+    """
+    time_offset = 'time_offset' if 'time_offset' in optional else None
+    sure = [name for name in fit.terms if name not in optional]
+    if 'systematic_drift' in fit.terms:
+        # An error of scale was judged the worse explanation.
+        optional = [name for name in optional if name != 'scale']
+    found = {
+        name: weigh(
+            _likelihood(fit, [*sure, *filter(None, (name, time_offset))], excess), fit.state,
+            name, time_offset,
+            drift_for_scale(fit.chain.step_translation, fit.state.scale)
+            if name == 'systematic_drift' and 'scale' in optional else 0.0)
+        for name in RIVALS if name in optional}
+    if len(found) == 2:
+        return joined(*found.values()).mean()
+    if found:
+        return found.popitem()[1].mean()
+    if time_offset:
+        return weigh(_likelihood(fit, [*sure, time_offset], excess), fit.state, None,
+                     time_offset).mean()
+    return parameter_covariance(fit, excess)[EXTRINSIC, EXTRINSIC]
+
+
+def _likelihood(fit: Fit, terms: Sequence[str], excess: float) -> Gaussian:
+    columns = columns_of(terms)
+    evaluation = evaluate(
+        fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
+    model = scale_covariance(evaluation.covariance, evaluation, columns, fit.state.scale)
+    return Gaussian(columns, evaluation.parameter_step, _widened(model, evaluation, excess))
+
+
+def _widened(model: FloatArray, evaluation: Evaluation, excess: float) -> FloatArray:
+    """Return the (m, m) covariance, larger where the data ask for it."""
     eigenvalues, axes = np.linalg.eigh(model)
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
-    whitened = evaluation.contributions @ root
-    sums = np.stack([block.sum(axis=0) for block in np.array_split(whitened, BLOCKS)])
+    contributions = evaluation.contributions @ root
+    if len(contributions) < 2 * BLOCKS:
+        return excess * model
+    sums = np.stack([block.sum(axis=0) for block in np.array_split(contributions, BLOCKS)])
     sums -= sums.mean(axis=0)
     inflation, directions = np.linalg.eigh(sums.T @ sums * BLOCKS / (BLOCKS - 1))
-    inflation = np.where(inflation > _SIGNIFICANT, inflation, 1.0)
+    chance = _SIGNIFICANT * (1 + np.sqrt(len(model) / (BLOCKS - 1)))**2
+    inflation = np.maximum(np.where(inflation > chance, inflation, 1.0), excess)
     spread = root @ directions
     covariance: FloatArray = (spread * inflation) @ spread.T
     return covariance
-
-
-def extrinsic_covariance(fit: Fit, covariance: FloatArray) -> FloatArray:
-    """Return the (6, 6) covariance of the extrinsic, from that of all parameters.
-
-    Where the data prove an error of scale, a drift along the motion, one across it is as likely
-    and cannot be told from a turned sensor: b is then given a drift of that size in unknown
-    direction, and both the freedom it gives the extrinsic and the change that the data suggest
-    for it are counted as possible error.
-    """
-    found = covariance[EXTRINSIC, EXTRINSIC]
-    if 'scale' not in fit.terms or 'systematic_drift' in fit.terms:
-        return found
-    columns = columns_of([*(term for term in fit.terms if term != 'scale'), 'systematic_drift'])
-    drift = TERM_COLUMNS['systematic_drift']
-    place = np.flatnonzero((columns >= drift.start) & (columns < drift.stop))
-    step, joint = predict_step(
-        fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
-    across = joint[EXTRINSIC, place]
-    known = joint[np.ix_(place, place)]
-    assumed = known + (fit.state.scale - 1) ** 2 * np.eye(3)
-    # A drift of zero is measured, with the size of the scale's error as its deviation.
-    change = step[EXTRINSIC] - across @ np.linalg.solve(assumed, step[place])
-    freedom = across @ (np.linalg.pinv(known) - np.linalg.inv(assumed)) @ across.T
-    return found + 0.5 * (freedom + freedom.T) + np.outer(change, change)
 
 
 def in_parent_axes(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ pose, walk of a metre), then on all poses, where only a few iterations are left 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,11 +36,12 @@ _COMPARED, _ROUGH = 1.0, 10.0
 _SIMILAR = 0.5
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
 # percent and one hundredth of a second. The tails leave room for more.
-_PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
+PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
 # In forward motion a scale is a drift along the motion: only one of them is taken in by itself.
-_RIVALS = (('scale', 'systematic_drift'),)
-# Twice the logarithm of the Bayes factor (3) from which a term is taken in.
-_SUPPORT = 2.2
+RIVALS = ('scale', 'systematic_drift')
+# The Bayes factor from which a term is taken in, and twice its logarithm.
+SUPPORT = 3.0
+_SUPPORT = 2 * np.log(SUPPORT)
 # Without the term its effect passes for noise, so that the prediction is too low; below this a
 # fit is not worth trying.
 _HOPELESS = -10.0
@@ -85,6 +86,13 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
         every //= _REFINEMENT
         best = _refine(best, Chain.from_pairs(pairs, max(every, 1)), final=every <= 1)
     return _revise(best, optional)
+
+
+def optional_terms(terms: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the terms that the data decide about; ``terms`` as for ``estimate``."""
+    wanted = [name for name in TERM_COLUMNS if terms[name] == 'estimate']
+    return tuple(name for name in TERM_COLUMNS
+                 if terms[name] == 'auto' and not _excluded(name, wanted))
 
 
 def _refine(best: Fit, chain: Chain, *, final: bool) -> Fit:
@@ -174,7 +182,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
                 # A term that the motion cannot tell from another one is not supported by it.
                 continue
             gain = (best.evaluation.objective - candidate.evaluation.objective
-                    - _prior_cost(name, _value(candidate.state, name)))
+                    - _prior_cost(name, value_of(candidate.state, name)))
             candidates.append((gain, candidate))
         if not candidates:
             return best
@@ -213,9 +221,9 @@ def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
     return fit(best.chain, state, best.noise.revived(), terms)
 
 
-def _excluded(name: str, terms: tuple[str, ...]) -> bool:
+def _excluded(name: str, terms: Sequence[str]) -> bool:
     """Tell whether a term is in already, or a rival that explains the same data."""
-    return name in terms or any(name in pair and set(pair) & set(terms) for pair in _RIVALS)
+    return name in terms or (name in RIVALS and bool(set(RIVALS) & set(terms)))
 
 
 def _gain_of_adding(best: Fit, name: str) -> float:
@@ -223,13 +231,14 @@ def _gain_of_adding(best: Fit, name: str) -> float:
     columns = columns_of((*best.terms, name))
     predicted, every_covariance = predict_step(
         best.chain, best.state, best.noise, columns, 0.5 * best.evaluation.position_traces)
-    place = _place(columns, name)
+    place = term_columns(columns, name)
     return _gain(name, predicted[place], every_covariance[np.ix_(place, place)])
 
 
 def _gain_of_keeping(best: Fit, name: str) -> float:
-    place = _place(columns_of(best.terms), name)
-    return _gain(name, _value(best.state, name), best.evaluation.covariance[np.ix_(place, place)])
+    place = term_columns(columns_of(best.terms), name)
+    return _gain(
+        name, value_of(best.state, name), best.evaluation.covariance[np.ix_(place, place)])
 
 
 def _gain(name: str, value: FloatArray, covariance: FloatArray) -> float:
@@ -239,18 +248,19 @@ def _gain(name: str, value: FloatArray, covariance: FloatArray) -> float:
 
 def _prior_cost(name: str, value: FloatArray) -> float:
     """Return -2 log of the Cauchy prior, less the Gaussian constant of Laplace's method."""
-    scale = _PRIOR_SCALE[name]
+    scale = PRIOR_SCALE[name]
     density = np.pi * scale * (1 + (value / scale)**2)
     return float(2 * np.log(density).sum() - len(value) * np.log(2 * np.pi))
 
 
-def _value(state: State, name: str) -> FloatArray:
+def value_of(state: State, name: str) -> FloatArray:
     """Return how far a term is from doing nothing."""
     values = {'scale': np.array([state.scale - 1]), 'systematic_drift': state.systematic_drift,
               'time_offset': np.array([state.time_offset])}
     return values[name]
 
 
-def _place(columns: IndexArray, name: str) -> IndexArray:
+def term_columns(columns: IndexArray, name: str) -> IndexArray:
+    """Return where a term stands among the columns of some parameters."""
     wanted = TERM_COLUMNS[name]
     return np.flatnonzero((columns >= wanted.start) & (columns < wanted.stop))

@@ -1,0 +1,155 @@
+"""Do short and long motions say the same? A check of the noise model that was identified.
+
+Every lag n has an answer of its own: least squares over the motions from pose k to k + n, as dnl
+weighs them. White noise and a walk throw it off the most likely answer by amounts that follow
+from the model, pose by pose and step by step, so that the difference is chi-squared with six
+degrees of freedom. Noise that is neither (bounded drift, errors that go on for seconds or come
+back in every turn) shows as lags that disagree by more.
+
+The most likely answer is efficient under the model, so that the covariance of the difference is
+that of the lag's answer less its own (J. A. Hausman, Econometrica 46(6), 1978,
+doi:10.2307/1913827). The lag's own is used, which is never too small: in directions that only
+noise excites, on flat ground, both are too small and nothing would be left of their difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration import se3
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.fit import columns_of, Fit
+from trajectory_calibration.solvers.drift.model import IndexArray, linearise
+
+# Poses that a motion spans; at least four motions of a lag must fit one after the other.
+LAGS = (1, 2, 5, 10, 20, 50)
+_MOTIONS = 4
+# Of long drives, this many stretches of consecutive poses, evenly spread.
+_STRETCHES, _STRETCH = 8, 2500
+# Chi-squared of six degrees of freedom that chance exceeds once in three hundred: with six lags,
+# one data set in fifty would be suspected wrongly.
+SIGNIFICANT = 19.55
+# Weights of square metres and square radians: nine entries of a rotation move by sqrt(2) a radian.
+_WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
+
+
+@dataclass(frozen=True, eq=False)
+class LagCheck:
+    """The lag whose answer is the farthest from the most likely one, measured by the model.
+
+    Attributes
+    ----------
+    lag : poses.
+    difference : (6,), the lag's answer less the most likely one, right perturbation.
+    covariance : (6, 6), what the identified noise predicts for it, or more.
+    statistic : chi-squared of six degrees of freedom.
+
+    """
+
+    lag: int
+    difference: FloatArray
+    covariance: FloatArray
+    statistic: float
+
+    @property
+    def excess(self) -> float:
+        """Return how many times larger variances are than the model says; 1 without evidence."""
+        return self.statistic / 6 if self.statistic > SIGNIFICANT else 1.0
+
+    def warnings(self, T_a_b: FloatArray) -> tuple[str, ...]:
+        """Return a sentence where the lags disagree: what stands out most, along the axes of a."""
+        if self.excess == 1.0:
+            return ()
+        turn = np.kron(np.eye(2), T_a_b[:3, :3])
+        difference = turn @ self.difference
+        deviation = np.sqrt(np.diag(turn @ self.covariance @ turn.T))
+        ratio = np.abs(difference) / np.maximum(deviation, np.finfo(float).tiny)
+        k = int(ratio.argmax())
+        found = (f'move b by {difference[k]:+.2g} m along' if k < 3 else
+                 f'turn b by {np.rad2deg(difference[k]):+.2g} deg about')
+        sentence = (
+            f'short and long motions disagree: those over {self.lag} poses alone would {found} '
+            f'{"xyz"[k % 3]} of a, {ratio[k]:.1f} times what the identified noise makes likely; '
+            'it is neither white nor a walk, so the stated deviations were enlarged, to at least '
+            f'{np.sqrt(self.excess):.1f} times what it explains')
+        return (sentence,)
+
+
+def check_lags(fit: Fit) -> LagCheck:
+    """Compare the answers of all lags with the most likely one; return the worst."""
+    poses, bodies, disagreement, white, walk = _disagreement(fit)
+    checks = []
+    for lag in LAGS:
+        if lag > 1 and lag * _MOTIONS > len(fit.chain):
+            break
+        start = np.flatnonzero(poses[lag:] - poses[:-lag] == lag)
+        end = start + lag
+        to_end = se3.adjoint(se3.inverse(bodies[end]))
+        jacobian = np.eye(6) - to_end @ se3.adjoint(bodies[start])
+        weighted = _WEIGHTS[:, None] * jacobian
+        inverse = np.linalg.pinv(np.tensordot(weighted, jacobian, ((0, 1), (0, 1))), rcond=1e-12)
+        # What an error in the world at either end does to the answer.
+        effect = -inverse @ weighted.transpose(0, 2, 1) @ to_end
+        by_pose = np.zeros((len(poses), 6, 6))
+        by_pose[end] = effect
+        by_pose[start] -= effect
+        difference = np.einsum('kij,kj->i', by_pose, disagreement)
+        # A step moves all poses after it.
+        by_step = -np.cumsum(by_pose, axis=0)[:-1]
+        covariance = _gram(by_pose @ white) + _gram(by_step @ walk)
+        checks.append(
+            LagCheck(lag, difference, covariance, _chi_squared(difference, covariance)))
+    return max(checks, key=lambda check: check.statistic)
+
+
+def _disagreement(
+    fit: Fit,
+) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what a and b disagree by at n poses, all of a short drive.
+
+    The indices (n,); b's poses (n, 4, 4) near the origin, whose noise the fit has smoothed; the
+    (n, 6) disagreement, in the axes of the world, up to a constant for each stretch; and roots
+    (n, 6, 6) and (n - 1, 6, 6) of the covariances of white noise and walk in those axes.
+    """
+    chain, state, noise = fit.chain, fit.state, fit.noise
+    stretches = _stretches(len(chain))
+    poses = np.concatenate(stretches)
+    pieces = [linearise(chain, state, columns_of(()), part[0], part[-1] + 1)
+              for part in stretches]
+    observed = np.concatenate([piece.observation[:, :, -1] for piece in pieces])
+    # The steps of a stretch; the last of all but the last leads out of it, and acts on nothing.
+    walked = np.concatenate([piece.walk[:, :, -1] for piece in pieces])[:len(poses) - 1]
+    bodies = state.bodies[poses]
+    bodies = se3.inverse(bodies[len(bodies) // 2]) @ bodies
+    turn = se3.adjoint(bodies)
+    after = turn[1:]
+    disagreement = -np.einsum('kij,kj->ki', turn, observed)
+    disagreement[1:] += np.cumsum(np.einsum('kij,kj->ki', after, walked), axis=0)
+    white = turn @ np.linalg.cholesky(noise.white_parts(state.T_a_b).sum(axis=0))
+    precision = noise.walk_precision(noise.walk_parts().sum(axis=0))[poses[:-1]]
+    walk = after * np.repeat(1 / np.sqrt(precision), 3, axis=1)[:, None, :]
+    return poses, bodies, disagreement, white, walk
+
+
+def _stretches(count: int) -> list[IndexArray]:
+    """Return runs of consecutive indices below ``count``: all of them, or evenly spread."""
+    if count <= _STRETCHES * _STRETCH:
+        return [np.arange(count)]
+    first = np.linspace(0, count - _STRETCH, _STRETCHES).astype(np.intp)
+    return [np.arange(i, i + _STRETCH) for i in first]
+
+
+def _chi_squared(difference: FloatArray, covariance: FloatArray) -> float:
+    """Return ``d^T C^-1 d`` over the directions in which a lag says anything."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    unit = difference / deviation
+    correlation = covariance / np.outer(deviation, deviation)
+    return float(unit @ np.linalg.pinv(correlation, rcond=1e-12, hermitian=True) @ unit)
+
+
+def _gram(roots: FloatArray) -> FloatArray:
+    """Return ``sum E E^T`` of (n, 6, 6)."""
+    gram: FloatArray = np.tensordot(roots, roots, ((0, 2), (0, 2)))
+    return gram
