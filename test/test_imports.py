@@ -23,7 +23,7 @@ FLOW = (
     ('config',),
     ('solvers',),
     ('metrics', 'observability', 'excitation', 'pair_noise'),
-    ('uncertainty',),
+    ('agreement', 'uncertainty'),
     ('reference',),
     ('result',),
     ('pipeline',),

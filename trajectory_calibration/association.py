@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,19 @@ class PosePairs:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def scaled(self, scale: float) -> PosePairs:
+        """Return the pairs with the positions of b multiplied by ``scale``."""
+        if scale == 1.0:
+            return self
+        poses_b = self.poses_b.copy()
+        poses_b[:, :3, 3] *= scale
+        return replace(self, poses_b=poses_b)
+
+    def thinned(self, every: int) -> PosePairs:
+        """Return every ``every``-th pair, from the first."""
+        return self if every == 1 else PosePairs(
+            self.stamps_ns[::every], self.poses_a[::every], self.poses_b[::every], self.summary)
 
 
 def associate(

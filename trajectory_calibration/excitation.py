@@ -43,6 +43,9 @@ _SUSPECT_SHARE = 0.5
 # Excitation counts when it exceeds this many standard deviations of what noise alone would give.
 _SIGNIFICANT = 4.0
 
+# A disagreement of this many usual ones is a glitch.
+_GLITCH = 20.0
+
 # Lags at which the motion of a solver without a reference is judged, and motions that suffice.
 _LAGS = (5, 20, 80)
 _MOTIONS = 4000
@@ -131,7 +134,7 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     lags = [lag for lag in _LAGS if len(pairs) > 2 * lag] or [1]
     found = []
     for lag in lags:
-        motions = thinned(select_motions(pairs, f'B{lag}'), _MOTIONS)
+        motions = _plausible(T_a_b, thinned(select_motions(pairs, f'B{lag}'), _MOTIONS))
         shared, own = np.zeros((6, 6)), np.zeros((6, 6))
         for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):
             shared += gram(of_a, of_b)
@@ -142,6 +145,17 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     return min(found, key=lambda excited: len(excited.unobserved))
 
 
+def _plausible(T_a_b: FloatArray, motions: MotionPairs) -> MotionPairs:
+    """Leave out motions in which the sensors part by far more than in most: a glitch of one.
+
+    A single position kilometres away would pass for noise that hides all excitation.
+    """
+    parted = np.linalg.norm(
+        (motions.A @ T_a_b)[:, :3, 3] - (T_a_b @ motions.B)[:, :3, 3], axis=1)
+    reach = float(np.linalg.norm(motions.A[:, :3, 3], axis=1).max(initial=0.0))
+    return motions.picked(parted <= _GLITCH * float(np.median(parted)) + _UNSEEN * reach)
+
+
 def thinning(length: int, count: int) -> slice:
     """Return what picks every n-th of ``length`` items, at most ``count``."""
     return slice(None, None, max(1, -(-length // count)))
@@ -149,9 +163,7 @@ def thinning(length: int, count: int) -> slice:
 
 def thinned(motions: MotionPairs, count: int) -> MotionPairs:
     """Return every n-th motion, at most ``count``."""
-    keep = thinning(len(motions), count)
-    return MotionPairs(motions.reference, motions.i[keep], motions.j[keep],
-                       motions.A[keep], motions.B[keep], motions.pairs)
+    return motions.picked(thinning(len(motions), count))
 
 
 def gram(left: FloatArray, right: FloatArray) -> FloatArray:

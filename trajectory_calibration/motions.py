@@ -7,7 +7,7 @@ doi:10.3390/s23073740, section III-D.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import re
 
 import numpy as np
@@ -45,6 +45,18 @@ class MotionPairs:
 
     def __len__(self) -> int:
         return len(self.i)
+
+    def picked(self, keep: slice | NDArray[np.bool_]) -> MotionPairs:
+        """Return some of the motions."""
+        return replace(self, i=self.i[keep], j=self.j[keep], A=self.A[keep], B=self.B[keep])
+
+    def scaled(self, scale: float) -> MotionPairs:
+        """Return the motions with the translations of b multiplied by ``scale``."""
+        if scale == 1.0:
+            return self
+        B = self.B.copy()
+        B[:, :3, 3] *= scale
+        return replace(self, B=B, pairs=self.pairs.scaled(scale))
 
 
 def parse_reference(reference: str) -> tuple[str, int]:

@@ -27,6 +27,9 @@ _DOMINATED = 0.5
 # Within this angle of an axis, its name says more than three numbers.
 _NEAR_AXIS = np.cos(np.deg2rad(18.0))
 
+# Turns about one axis move the sensor along it by less than this share of what they do across.
+_SINGLE = 0.5
+
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
 
@@ -134,13 +137,14 @@ def observe(
     excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
     gain, axes = translation_gain(R)
     weak_axes = _weak_axes(covariance, config)
+    single = axes[0] if gain[0] < _SINGLE * gain[1] else None
     return Observability(
         _status(by_motion, covariance, config),
         weak_axes,
         tuple(excitation.tolist()),
         tuple(gain.tolist()),
         tuple(tuple(axis) for axis in axes.tolist()),
-        tuple(_describe(item, axes[0], float(np.linalg.norm(excitation)), frame)
+        tuple(_describe(item, single, float(np.linalg.norm(excitation)), frame)
               for item in weak_axes))
 
 
@@ -217,10 +221,12 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
     return tuple(found)
 
 
-def _describe(item: WeakAxis, turned_about: FloatArray, turned: float, frame: str) -> str:
+def _describe(
+    item: WeakAxis, single: FloatArray | None, turned: float, frame: str,
+) -> str:
     """Return what a driver needs to know about a weak direction.
 
-    ``turned_about`` is the main axis of the turns, ``turned`` their size in degrees.
+    ``single`` is the axis of nearly all turns, or None; ``turned`` is their size in degrees.
     """
     name = axis_name(np.array(item.axis))
     where = (f'translation along {name} of {frame}' if item.kind == 'translation'
@@ -233,5 +239,8 @@ def _describe(item: WeakAxis, turned_about: FloatArray, turned: float, frame: st
     if turned < _HARDLY:
         return (f'{where}: not observed, the vehicle hardly turned; drive curves, and a ramp or '
                 'a bank')
-    return (f'{where}: not observed, the vehicle turned about {axis_name(turned_about)} only, as '
-            'far as noise lets it be seen; drive a ramp or a bank')
+    if single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
+        return (f'{where}: not observed, the vehicle turned about {axis_name(single)} only, as '
+                'far as noise lets it be seen; drive a ramp or a bank')
+    return (f'{where}: not observed, what the two sensors report of it does not stand out of '
+            'their disagreement; turn more, and check units, clocks and jumps')

@@ -81,7 +81,10 @@ def step_lengths(poses: FloatArray) -> FloatArray:
 
 
 def identify_noise(
-    poses_a: FloatArray, poses_c: FloatArray, usable: NDArray[np.bool_] | None = None,
+    poses_a: FloatArray,
+    poses_c: FloatArray,
+    usable: NDArray[np.bool_] | None = None,
+    trusted: NDArray[np.bool_] | None = None,
 ) -> PairNoise:
     """Fit white noise and walk to the disagreement of two trajectories.
 
@@ -93,6 +96,8 @@ def identify_noise(
         Of sensor a as b reports them: ``T_a_b B_k T_a_b^-1``, in any world.
     usable : (N - 1,) bool, optional
         Steps that count; motions across any other are left out.
+    trusted : (N,) bool, optional
+        Poses that count; motions from or to any other are left out.
 
     Returns
     -------
@@ -110,6 +115,8 @@ def identify_noise(
             break
         i = np.arange(len(poses_a) - lag)
         i = i[bad[i + lag] == bad[i]]
+        if trusted is not None:
+            i = i[trusted[i] & trusted[i + lag]]
         i = i[::-(-len(i) // _MOTIONS_OF_A_LAG) or 1]
         if len(i) < 2:
             continue
@@ -137,13 +144,13 @@ def _fit(
 ) -> tuple[float, float]:
     """Return variances >= 0 of ``variogram = 2 white + distance walk``, both for one axis."""
     columns = np.column_stack([np.full(len(lag), 2.0), distance])
-    expected = np.maximum(variogram, np.finfo(float).tiny)
+    expected = np.maximum(variogram, _LEAST**2)
     found = np.zeros(2)
     for _ in range(_REWEIGHTINGS):
         # Motions of n poses overlap n-fold: so many of their 3 x poses squares are independent.
         root = np.sqrt(1.5 * poses / lag) / expected
         found = _nonnegative(columns * root[:, None], variogram * root)
-        expected = np.maximum(columns @ found, np.finfo(float).tiny)
+        expected = np.maximum(columns @ found, _LEAST**2)
     return float(found[0]), float(found[1])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from trajectory_calibration.agreement import require_agreement
 from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.metrics import relative_errors
@@ -64,9 +65,12 @@ def calibrate(
     choice = choose_reference(pairs, config)
     motions = select_motions(pairs, choice.reference)
     solution = solve(motions, config)
-    uncertainty = estimate_uncertainty(solution, motions)
+    require_agreement(
+        solution.T_a_b, pairs, trajectory_a.sensor_frame, trajectory_b.sensor_frame)
+    uncertainty = (estimate_uncertainty(solution, motions) if choice.known is None
+                   else choice.known.uncertainty_of(solution.T_a_b))
     T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
-    metrics = relative_errors(T_a_b, motions)
+    metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
     observability = observe(
         motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
     return CalibrationResult(

@@ -126,7 +126,7 @@ def apply_prior(
         raise ConfigError(
             f'the prior turns the answer of the motion by {turn:.0f} degrees, needed less than '
             f'{_LARGEST_TURN_DEG:.0f}; check prior_rotation (roll, pitch, yaw of b in a, '
-            'degrees), or use solver dnl')
+            'degrees), or drive so that the motion shows the rotation, about two axes')
     rest = np.eye(6) - gain @ observe
     # Joseph's form stays symmetric and positive.
     posterior = rest @ covariance @ rest.T + gain @ noise @ gain.T

@@ -7,10 +7,11 @@ what is known,
 
     E |x_n - truth|^2 = |x_n - x|^2 + tr P,
 
-which is what a solver's answer at each reference is judged by: the one with the smallest
-expected error of the translation wins. Against a covariance predicted from the identified noise
-alone this also counts what the noise happened to be in these data, and errors that no solver's
-equations know of, as jumps, a scale, a steady drift.
+which is what a solver's answer at each reference is judged by, with rotations counted by what
+they move a point one metre away: the smallest expected error wins. ``P + (x_n - x)(x_n - x)^T``
+is also how far the answer may be from the truth. Against a covariance predicted from the noise
+alone it counts what the noise happened to be in these data, and errors that no solver's equations
+know of, as jumps, a scale, a steady drift.
 
 J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
 expected loss).
@@ -18,18 +19,22 @@ expected loss).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajectory_calibration import se3
 from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
-from trajectory_calibration.excitation import thinned, thinning
+from trajectory_calibration.excitation import thinned
 from trajectory_calibration.motions import AUTOMATIC, parse_reference, select_motions
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import drift_aware, load_solver, WITHOUT_REFERENCE
-from trajectory_calibration.uncertainty import estimate_uncertainty
+from trajectory_calibration.uncertainty import estimate_uncertainty, Uncertainty
+
+# A rotation counts by what it moves at this distance, metres.
+_DISTANCE = 1.0
 
 # References that are compared, as far as n is no more than a quarter of the poses.
 _CANDIDATES = ('A', 'B1', 'B2', 'B3', 'B5', 'B8', 'B12', 'B20', 'B30', 'B50', 'B80',
@@ -46,6 +51,41 @@ _ENOUGH = 10_000
 _NAMED = 3
 
 
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What the data say of the extrinsic, by ``drift_aware``.
+
+    Attributes
+    ----------
+    T_a_b : (4, 4), the mean.
+    uncertainty : of the mean.
+    directions : (K, 6), what turns a step (dt, dtheta) into metres along the directions that the
+        motion showed; ``_DISTANCE`` counts.
+    variance : of the mean along all of them together, m^2.
+
+    """
+
+    T_a_b: FloatArray
+    uncertainty: Uncertainty
+    directions: FloatArray
+    variance: float
+
+    def expected_error(self, T_a_b: FloatArray) -> float:
+        """Return the root of the expected squared error of a (4, 4) answer, metres."""
+        step = self._step(T_a_b)
+        return float(np.sqrt(np.sum((self.directions @ step)**2) + self.variance))
+
+    def uncertainty_of(self, T_a_b: FloatArray) -> Uncertainty:
+        """Return how far a (4, 4) answer may be from the truth."""
+        step = self._step(T_a_b)
+        return replace(
+            self.uncertainty, covariance=self.uncertainty.covariance + np.outer(step, step))
+
+    def _step(self, T_a_b: FloatArray) -> FloatArray:
+        turn = se3.log_so3(T_a_b[:3, :3] @ self.T_a_b[:3, :3].T)
+        return np.concatenate([T_a_b[:3, 3] - self.T_a_b[:3, 3], turn])
+
+
 @dataclass(frozen=True)
 class ReferenceChoice:
     """A reference, and why.
@@ -54,11 +94,13 @@ class ReferenceChoice:
     ----------
     reference : 'B6', ...
     explanation : a sentence, or empty where the reference was given.
+    known : what the data say of the extrinsic, where it was chosen by that.
 
     """
 
     reference: str
     explanation: str = ''
+    known: Known | None = None
 
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
@@ -76,7 +118,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     if config.solver in WITHOUT_REFERENCE:
         return ReferenceChoice(usual, f'{config.solver} needs no reference')
     try:
-        mean, spread, seen = _known_translation(pairs, config)
+        known = _known(pairs, config)
     except SolverError as error:
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
     expected: dict[str, float] = {}
@@ -85,42 +127,37 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
             continue
         motions = thinned(select_motions(pairs, reference), _ENOUGH)
         try:
-            found = load_solver(config.solver)(motions, config).T_a_b[:3, 3]
+            found = load_solver(config.solver)(motions, config).T_a_b
         except (MotionError, SolverError):
             # Another reference may do; where none does, the usual one says why.
             continue
-        expected[reference] = float(np.sqrt(np.sum((seen @ (found - mean))**2) + spread))
-    return _choice(expected) if expected else ReferenceChoice(usual)
-
-
-def _known_translation(
-    pairs: PosePairs, config: CalibrationConfig,
-) -> tuple[FloatArray, float, FloatArray]:
-    """Return what is known of the translation: mean, variance, and in which directions.
-
-    The (3, 3) projection leaves out directions that the motion did not show: there no answer is
-    better than another.
-    """
-    keep = thinning(len(pairs), _ENOUGH)
-    pairs = PosePairs(
-        pairs.stamps_ns[keep], pairs.poses_a[keep], pairs.poses_b[keep], pairs.summary)
-    motions = select_motions(pairs, 'B1')
-    solution = drift_aware.solve(motions, config)
-    covariance = estimate_uncertainty(solution, motions).covariance[:3, :3]
-    variances, axes = np.linalg.eigh(covariance)
-    known = variances < config.unobserved_translation**2
-    seen: FloatArray = axes[:, known] @ axes[:, known].T
-    return solution.T_a_b[:3, 3], float(variances[known].sum()), seen
-
-
-def _choice(expected: dict[str, float]) -> ReferenceChoice:
+        expected[reference] = known.expected_error(found)
+    if not expected:
+        return ReferenceChoice(usual)
     best = min(expected, key=lambda name: expected[name])
+    return ReferenceChoice(best, _explanation(best, expected), known)
+
+
+def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:
+    motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
+    solution = drift_aware.solve(motions, config)
+    uncertainty = estimate_uncertainty(solution, motions)
+    unit = np.repeat([1.0, _DISTANCE], 3)
+    variances, axes = np.linalg.eigh(uncertainty.covariance * np.outer(unit, unit))
+    # Where the motion showed nothing, no answer is better than another.
+    seen = variances < config.unobserved_translation**2
+    # Rounding may leave a variance below zero.
+    return Known(solution.T_a_b, uncertainty, axes[:, seen].T * unit,
+                 float(np.maximum(variances[seen], 0.0).sum()))
+
+
+def _explanation(best: str, expected: dict[str, float]) -> str:
     others = [name for name in expected if name != best]
     named = others[::max(1, -(-len(others) // _NAMED))]
     text = f'{best}: predicted {_length(expected[best])}'
     if named:
         text += '; ' + ', '.join(f'{name} {_length(expected[name])}' for name in named)
-    return ReferenceChoice(best, text)
+    return text
 
 
 def _length(metres: float) -> str:

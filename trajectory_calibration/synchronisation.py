@@ -120,8 +120,9 @@ def find_clock_offset(
 ) -> ClockOffset | None:
     """Return the offset within ``max_offset_s`` at which b turned with a.
 
-    None where the trajectories have too little time in common or did not turn: an offset cannot
-    be told then, which is no error as long as the clocks agree.
+    None where the trajectories have too little time in common or did not turn, or agree best at
+    the limit or beyond it: an offset cannot be told then, which is no error as long as the clocks
+    agree.
     """
     cell_ns = _cell_ns(a, b)
     start_ns = min(int(a.stamps_ns[0]), int(b.stamps_ns[0]))
@@ -134,7 +135,8 @@ def find_clock_offset(
         return None
     best = int(np.argmax(np.where(allowed, correlation, -1.0)))
     refined = _refine(a, b, int(lags[best]) * cell_ns, cell_ns)
-    if refined is None:
+    # Beyond the limit it is the foot of a hill whose top was not looked at.
+    if refined is None or abs(refined[0]) > max_offset_s:
         return None
     seconds, std = refined
     return ClockOffset(seconds, std, float(correlation[best]))

@@ -50,6 +50,9 @@ from trajectory_calibration.solvers.solution import Linearise, Solution
 # Motions that are enough to find a drift of the whole drive.
 _MOTIONS_FOR_DRIFT = 4000
 
+# A drift of this much per metre is none, and its effect on an answer beyond any linearisation.
+_LARGEST_DRIFT = 0.2
+
 # Chi-square of three degrees of freedom that chance exceeds once in a thousand.
 _SIGNIFICANT_DRIFT = 16.27
 
@@ -94,7 +97,7 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     """
     if solution.covariance is not None:
         # A solver that takes the motion for what it is trusts the noise in it as well.
-        open_ = split_pairs(solution.T_a_b, motions.pairs).unobserved
+        open_ = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
         return Uncertainty(
             _semidefinite(solution.covariance) + open_.T @ open_, unobserved=open_)
     if solution.linearise is None:
@@ -102,8 +105,9 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     X, weights, linearise = solution.T_a_b, solution.inliers, solution.linearise
     w = np.ones(len(motions)) if weights is None else weights.astype(np.float64)
     usable = None if weights is None else spanned_steps(motions, weights)
+    trusted = None if weights is None else _ends(motions, weights)
     poses_c = X @ motions.pairs.poses_b @ se3.inverse(X)
-    noise = identify_noise(motions.pairs.poses_a, poses_c, usable)
+    noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
     found = _analyse(X, motions, w, noise, poses_c, linearise)
     # The rotations alone tell a drift from a turned sensor; a joint solver takes one for the
     # other, and its own equations could not say.
@@ -112,6 +116,12 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
         poses_c, linear.separable)).drift
     if drift is None:
         return found.uncertainty(np.zeros(6))
+    if np.linalg.norm(drift) > _LARGEST_DRIFT:
+        x, y, z = (f'{100 * value:.0f}' for value in drift)
+        raise SolverError(
+            f'b drifts against a by ({x}, {y}, {z}) percent of the way along x, y, z of a, needed '
+            f'less than {100 * _LARGEST_DRIFT:.0f}: no drift but other units or a scale; use '
+            'solver drift_aware, which finds a scale, or give it (scale)')
     # The data prove a drift: judge the noise without it, and count as possible error what the
     # answer would change by if it were known.
     step = found.by_drift @ drift
@@ -119,7 +129,7 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
         se3.exp_so3(step[3:]) @ X[:3, :3], X[:3, 3] + step[:3])
     poses_c = _without_drift(
         moved @ motions.pairs.poses_b @ se3.inverse(moved), motions.pairs.poses_a, drift)
-    noise = identify_noise(motions.pairs.poses_a, poses_c, usable)
+    noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
     rest = _analyse(moved, motions, w, noise, poses_c, linearise)
     return rest.uncertainty(step, drift=-drift)
 
@@ -340,6 +350,14 @@ def spanned_steps(motions: MotionPairs, inliers: NDArray[np.bool_]) -> NDArray[n
     np.add.at(change, motions.j[inliers], -1)
     spanned: NDArray[np.bool_] = np.cumsum(change)[:-1] > 0
     return spanned
+
+
+def _ends(motions: MotionPairs, inliers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (N,) whether any motion that was kept begins or ends at each pose."""
+    ends = np.zeros(len(motions.pairs), dtype=np.bool_)
+    ends[motions.i[inliers]] = True
+    ends[motions.j[inliers]] = True
+    return ends
 
 
 def _piled(poses: FloatArray) -> FloatArray:

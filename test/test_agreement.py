@@ -1,0 +1,49 @@
+"""Two trajectories that do not belong together get no answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import calibrate, CalibrationConfig, MotionError
+from trajectory_calibration.agreement import require_agreement
+from trajectory_calibration.association import associate
+from trajectory_calibration.simulation import Scenario, SCENARIOS, simulate, Wander
+
+DRIVE = replace(SCENARIOS['offroad'], duration=60.0)
+
+
+@pytest.mark.parametrize('solver', ['drift_aware', 'dnl', 'dnlo', 'park'])
+@pytest.mark.parametrize('seed', range(3))
+def test_two_vehicles(solver, seed):
+    a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b
+    config = CalibrationConfig(solver=solver, reference='B5', time_offset_mode='fixed')
+    with pytest.raises(MotionError, match='did not turn together'):
+        calibrate(a, b, config)
+
+
+@pytest.mark.parametrize('offset', [6.0, 20.0])
+@pytest.mark.parametrize('solver', ['drift_aware', 'dnl'])
+def test_clocks_farther_apart_than_was_looked_for(solver, offset):
+    run = simulate(DRIVE, 4)
+    late = replace(run.b, stamps_ns=run.b.stamps_ns + round(offset * 1e9))
+    with pytest.raises(MotionError, match='max_time_offset'):
+        calibrate(run.a, late, CalibrationConfig(solver=solver, reference='B5'))
+    found = calibrate(run.a, late, CalibrationConfig(
+        solver=solver, reference='B5', max_time_offset=offset + 1))
+    assert found.time_offset_s == pytest.approx(-offset, abs=0.01)
+
+
+@pytest.mark.parametrize('name', sorted(SCENARIOS))
+def test_one_vehicle_is_never_suspected(name):
+    scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
+    for seed in range(12):
+        run = simulate(scenario, seed)
+        require_agreement(run.T_a_b, associate(run.a, run.b), 'a', 'b')
+
+
+def test_hardly_any_turning_is_not_judged():
+    run = simulate(Scenario(10.0, Wander(tilt=0.01, turn=0.01)), 1)
+    wrong = run.T_a_b.copy()
+    wrong[:3, :3] = wrong[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    require_agreement(wrong, associate(run.a, run.b), 'a', 'b')
