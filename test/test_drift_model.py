@@ -184,7 +184,6 @@ def test_pieces_do_not_change_the_result(problem, monkeypatch):
     columns = columns_of(ALL_TERMS)
     whole = evaluate(chain, state, noise, columns)
     monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood.PIECE', 3)
-    monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood._KEEP', 5)
     pieces = evaluate(chain, state, noise, columns)
     for name in ('objective', 'parameter_step', 'score', 'score_information', 'walk_spread'):
         np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=1e-8,

@@ -57,7 +57,7 @@ def extrinsic_covariance(fit: Fit, covariance: FloatArray) -> FloatArray:
     columns = columns_of([*(term for term in fit.terms if term != 'scale'), 'systematic_drift'])
     drift = TERM_COLUMNS['systematic_drift']
     place = np.flatnonzero((columns >= drift.start) & (columns < drift.stop))
-    step, joint = predict_step(
+    step, joint, _ = predict_step(
         fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
     across = joint[EXTRINSIC, place]
     known = joint[np.ix_(place, place)]
