@@ -21,7 +21,6 @@ import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
 
-
 # Blocks that are eliminated at once: what is made on the way stays in the cache of a core.
 _PIECE = 1024
 

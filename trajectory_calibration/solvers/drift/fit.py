@@ -34,6 +34,8 @@ _SMALL_SCORE = 0.1
 # A variance with less information than this about its logarithm has vanished; it comes back where
 # the objective gains this from it.
 _VANISHED, _WORTH_REVIVING = 1.0, 0.5
+# Steps of which each is this share of the last one, or more, are taken to shrink by it.
+_SLOWEST_PACE = 0.9
 # Added to correlations of the variances, two of which may be the same.
 _RIDGE = 1e-3
 # Room that a variance at its limit keeps, because limits must differ.
@@ -110,7 +112,7 @@ def fit(
 
     """
     columns = columns_of(terms)
-    previous, last_deviation = np.inf, np.full(len(columns), np.inf)
+    progress = _Progress()
     of_variances, of_jumps = Trust(len(COMPONENTS)), Trust(noise.jump_probability.shape)
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
@@ -123,31 +125,56 @@ def fit(
                 'the trajectories span); needed steps longer than their noise, or scale fixed')
         evaluation = _evaluate(chain, state, noise, columns, power)
         power = 0.5 * evaluation.position_traces
-        gain = abs(previous - evaluation.objective)
-        previous = evaluation.objective
-        deviation = np.sqrt(np.diag(evaluation.covariance))
-        change = np.abs(np.log(deviation / last_deviation)).max()
-        last_deviation = deviation
         wished = variance_step(evaluation, noise.log_variances - noise.lowest())
-        ahead = np.maximum(np.abs(evaluation.parameter_step),
-                           np.abs(evaluation.sensitivity @ np.maximum(wished, -1.0)))
+        judged = noise.with_jumps(evaluation.walk_squares, evaluation.walk_spread)
+        narrow = noise.walk_parts().sum(axis=0)
+        remaining, gain = progress.judge(
+            evaluation, wished, judged.walk_precision(narrow) - noise.walk_precision(narrow))
+        # A step that is as good as nothing is taken too: its rest is of second order.
         state = _moved(state, evaluation.body_response, evaluation.parameter_step, columns)
-        if (gain < smallest_gain and change < tolerance * SMALL_CHANGE
-                and np.all(ahead < tolerance * SMALL_STEP * deviation)):
+        if remaining < tolerance and gain < smallest_gain:
             missed = missed_variances(evaluation)
             if revived or not missed.any():
                 return Fit(
                     chain, state, noise, tuple(terms), evaluation, iteration, converged=True)
             revived = True
             noise = noise.with_log_variances(noise.log_variances + missed)
-            continue
-        judged = noise.with_jumps(evaluation.walk_squares, evaluation.walk_spread)
-        noise = replace(judged, jump_probability=noise.jump_probability + of_jumps.damped(
-            judged.jump_probability - noise.jump_probability))
-        noise = noise.with_log_variances(
-            noise.log_variances + of_variances.damped(wished))
+        else:
+            noise = replace(judged, jump_probability=noise.jump_probability + of_jumps.damped(
+                judged.jump_probability - noise.jump_probability))
+            noise = noise.with_log_variances(noise.log_variances + of_variances.damped(wished))
     evaluation = _evaluate(chain, state, noise, columns, power)
     return Fit(chain, state, noise, tuple(terms), evaluation, max_iterations, converged=False)
+
+
+class _Progress:
+    """How far a fit may still go, from one iteration to the next."""
+
+    def __init__(self) -> None:
+        self._objective, self._size = np.inf, np.inf
+        self._deviation: FloatArray | None = None
+
+    def judge(
+        self, evaluation: Evaluation, wished: FloatArray, reweighted: FloatArray,
+    ) -> tuple[float, float]:
+        """Return what remains, one where it is just negligible, and the change of the objective.
+
+        ``wished`` (6,) is the next step of the log variances, ``reweighted`` (N - 1, 2) that of
+        the precision of each step of the walk, as another one becomes a jump.
+        """
+        deviation = np.sqrt(np.diag(evaluation.covariance))
+        size = float((np.abs(evaluation.parameter_step) / deviation).max())
+        # Steps that shrink by a factor add up to a geometric series.
+        pace = min(size / self._size, _SLOWEST_PACE) if self._size > 0 else 0.0
+        by_variances = np.abs(evaluation.sensitivity @ np.maximum(wished, -1.0)) / deviation
+        by_jumps = np.abs(evaluation.covariance @ np.tensordot(
+            reweighted, evaluation.leverage, 2)) / deviation
+        change = (np.inf if self._deviation is None
+                  else float(np.abs(np.log(deviation / self._deviation)).max()))
+        gain = abs(self._objective - evaluation.objective)
+        self._objective, self._size, self._deviation = evaluation.objective, size, deviation
+        moved = max(size / (1 - pace), float(by_variances.max()), float(by_jumps.max()))
+        return max(moved / SMALL_STEP, change / SMALL_CHANGE), gain
 
 
 def settled(chain: Chain, state: State, noise: Noise, terms: Sequence[str]) -> State:

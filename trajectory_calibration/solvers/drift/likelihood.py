@@ -63,6 +63,7 @@ class Evaluation:
     sensitivity : (m, 6), derivative of the global parameters' step by the log variances.
     position_traces : tr(P R) over the translation noise of white and walk together.
     contributions : (N, m), of every pose and the step from it to the gradient at the minimum.
+    leverage : (N - 1, 2, m), of a unit of precision of each step, translation and rotation, to it.
 
     """
 
@@ -77,6 +78,7 @@ class Evaluation:
     sensitivity: FloatArray
     position_traces: float
     contributions: FloatArray
+    leverage: FloatArray
 
 
 def evaluate(
@@ -196,6 +198,7 @@ class _Evaluator:
             sensitivity=sensitivity,
             position_traces=traces,
             contributions=posterior.contributions,
+            leverage=posterior.leverage,
         )
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -241,6 +244,7 @@ class _Evaluator:
         walked = np.empty((N - 1, 6))
         spread = np.empty((N - 1, 2))
         contributions = np.zeros((N, m))
+        leverage = np.empty((N - 1, 2, m))
         white_spread = np.zeros((6, 6))
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))
@@ -261,10 +265,13 @@ class _Evaluator:
             variance = ((K @ S[steps] + 2 * L @ C[steps].transpose(0, 2, 1)) * K).sum(axis=2)
             variance += ((L @ S[after]) * L).sum(axis=2) + (part**2).sum(axis=2)
             spread[steps] = variance.reshape(-1, 2, 3).sum(axis=2)
-            weighted = np.repeat(self.walk_precision[steps], 3, axis=1) * walked[steps]
-            contributions[steps] += np.einsum('kij,ki->kj', design[:, :, :m], weighted)
+            product = design[:, :, :m] * design[:, :, m:]
+            leverage[steps] = product.reshape(-1, 2, 3, m).sum(axis=2)
+            contributions[steps] += np.einsum(
+                'kpj,kp->kj', leverage[steps], self.walk_precision[steps])
         squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
-        return _Posterior(observed, walked, squares, spread, white_spread, contributions)
+        return _Posterior(
+            observed, walked, squares, spread, white_spread, contributions, leverage)
 
     def score(self, posterior: _Posterior) -> tuple[FloatArray, float]:
         """Return the (6,) score by the log variances and tr(P R) of the translations."""
@@ -348,6 +355,7 @@ class _Posterior:
     walk_spread: FloatArray
     white_spread: FloatArray
     contributions: FloatArray
+    leverage: FloatArray
 
 
 def _inner(left: FloatArray, right: FloatArray) -> FloatArray:
