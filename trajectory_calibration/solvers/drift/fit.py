@@ -34,8 +34,8 @@ _SMALL_SCORE = 0.1
 # A variance with less information than this about its logarithm has vanished; it comes back where
 # the objective gains this from it.
 _VANISHED, _WORTH_REVIVING = 1.0, 0.5
-# Steps of which each is this share of the last one, or more, are taken to shrink by it.
-_SLOWEST_PACE = 0.9
+# Steps shrink from one to the next by this at least: what they wander by beside is no pace.
+_SLOWEST_PACE = 0.5
 # Added to correlations of the variances, two of which may be the same.
 _RIDGE = 1e-3
 # Room that a variance at its limit keeps, because limits must differ.

@@ -212,7 +212,7 @@ def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
         state = replace(state, systematic_drift=np.zeros(3))
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
-    return fit(best.chain, state, best.noise.revived(), terms)
+    return fit(best.chain, state, best.noise, terms)
 
 
 def _excluded(name: str, terms: tuple[str, ...]) -> bool:
