@@ -1,7 +1,7 @@
 """The drift-aware solver against its targets.
 
     python benchmarks/drift_aware.py --data ../shared/data [--seeds 40] [--sizes 2343,10000]
-    python benchmarks/drift_aware.py --only-times [--sizes 10000,1000000]
+    python benchmarks/drift_aware.py --only-times [--sizes 10000,1000000] [--noise white]
 
 Prints Markdown tables: the published runs and drives; simulated pairs that the published data do
 not have, with the normalised squared error of the extrinsic (NEES / 6, one where the covariance
@@ -174,10 +174,10 @@ def timed(name, poses):
           f'{solution.iterations} | {settled} | {peak:.2f} |', flush=True)
 
 
-def speed(sizes):
+def speed(names, sizes):
     print('\n| noise | poses | CPU, s | CPU a pose, us | iterations on all poses | settled | '
           'peak memory, GiB |\n|---|---|---|---|---|---|---|', flush=True)
-    for name in DRIVES:
+    for name in names:
         for poses in sizes:
             process = get_context('spawn').Process(target=timed, args=(name, poses))
             process.start()
@@ -191,13 +191,14 @@ def main():
     parser.add_argument('--scale-seeds', type=int, default=200)
     parser.add_argument('--sizes', default='2343,10000,100000')
     parser.add_argument('--only-times', action='store_true')
+    parser.add_argument('--noise', action='append', choices=DRIVES, help='of the timed drives')
     options = parser.parse_args()
     if not options.only_times:
         published_runs(options.data)
         published_drives(options.data)
         simulated_pairs(options.seeds)
         scale_bias(options.scale_seeds)
-    speed([int(size) for size in options.sizes.split(',')])
+    speed(options.noise or DRIVES, [int(size) for size in options.sizes.split(',')])
 
 
 if __name__ == '__main__':

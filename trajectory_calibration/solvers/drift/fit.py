@@ -38,6 +38,9 @@ _VANISHED, _WORTH_REVIVING = 1.0, 0.5
 _SLOWEST_PACE = 0.5
 # Added to correlations of the variances, two of which may be the same.
 _RIDGE = 1e-3
+# A trust that was lost grows by this factor in every step that does not turn; slowly, because
+# what turned once tends to turn again, but it must grow or the fit would stop short.
+_REGAINED_BY_VARIANCES, _REGAINED_BY_JUMPS = 1.3, 1.15
 # Room that a variance at its limit keeps, because limits must differ.
 _NEXT_TO_NOTHING = 1e-9
 # Converged: parameters, and what the next step of the variances would do to them, move by less
@@ -58,7 +61,7 @@ class Fit:
     ----------
     chain, state, noise : the data, the unknowns, the noise.
     terms : names of the global terms that were estimated.
-    evaluation : at the state.
+    evaluation : at the state, or where it converged one negligible step before it.
     iterations : number of them.
     converged : whether the last steps were negligible.
 
@@ -113,7 +116,9 @@ def fit(
     """
     columns = columns_of(terms)
     progress = _Progress()
-    of_variances, of_jumps = Trust(len(COMPONENTS)), Trust(noise.jump_probability.shape)
+    of_variances, of_jumps = (
+        Trust(len(COMPONENTS), _REGAINED_BY_VARIANCES),
+        Trust(noise.jump_probability.shape, _REGAINED_BY_JUMPS))
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
     first_scale = state.scale
@@ -246,14 +251,15 @@ def missed_variances(evaluation: Evaluation) -> FloatArray:
 class Trust:
     """How much of a step is taken, element by element: less after every change of direction."""
 
-    def __init__(self, shape: int | tuple[int, ...]) -> None:
+    def __init__(self, shape: int | tuple[int, ...], regained: float) -> None:
+        self._regained = regained
         self._share = np.ones(shape)
         self._last = np.zeros(shape)
 
     def damped(self, step: FloatArray) -> FloatArray:
         """Return the trusted share of a step."""
         turned = step * self._last < 0
-        self._share = np.where(turned, 0.5 * self._share, np.minimum(1.3 * self._share, 1.0))
+        self._share = np.where(turned, 0.5 * self._share, np.minimum(self._regained * self._share, 1.0))
         self._last = step
         return self._share * step
 
