@@ -259,7 +259,8 @@ class Trust:
     def damped(self, step: FloatArray) -> FloatArray:
         """Return the trusted share of a step."""
         turned = step * self._last < 0
-        self._share = np.where(turned, 0.5 * self._share, np.minimum(self._regained * self._share, 1.0))
+        regained = np.minimum(self._regained * self._share, 1.0)
+        self._share = np.where(turned, 0.5 * self._share, regained)
         self._last = step
         return self._share * step
 
