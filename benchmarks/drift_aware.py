@@ -1,16 +1,20 @@
 """The drift-aware solver against its targets.
 
     python benchmarks/drift_aware.py --data ../shared/data [--seeds 40] [--sizes 2343,10000]
+    python benchmarks/drift_aware.py --only-times [--sizes 10000,1000000] [--noise white]
 
 Prints Markdown tables: the published runs and drives; simulated pairs that the published data do
 not have, with the normalised squared error of the extrinsic (NEES / 6, one where the covariance
 is right) and the share of the truth inside 95 % intervals; the bias of the scale under pure white
-noise; and seconds of processor time. Set OMP_NUM_THREADS=1.
+noise; seconds of processor time and the peak memory of the process, its drive included. A million
+poses take two minutes for each kind of noise. Set OMP_NUM_THREADS=1.
 """
 
 import argparse
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+import resource
 import time
 
 import numpy as np
@@ -59,6 +63,18 @@ SIMULATED = {
     'scale 1.03': (Wander(), 60.0, 5.0, (
         Noise(white=0.01, white_rotation=0.005, walk=0.01),
         Noise(white=0.01, white_rotation=0.005, walk=0.01, scale=1.03))),
+}
+# Noise of both sensors, and the scale of b. Jumps: one of them in a thousand poses.
+DRIVES = {
+    'white': (Noise(white=0.01, white_rotation=0.003), 1.0),
+    'walk': (Noise(walk=0.01, walk_rotation=0.001), 1.0),
+    'white, walk': (
+        Noise(white=0.01, white_rotation=0.003, walk=0.005, walk_rotation=0.0005), 1.0),
+    'white, walk, jumps, scale': (
+        Noise(white=0.01, white_rotation=0.003, walk=0.005, walk_rotation=0.0005, jumps=1), 1.02),
+    'white, walk, drift': (
+        Noise(white=0.01, white_rotation=0.003, walk=0.005, walk_rotation=0.0005, drift=0.01),
+        1.0),
 }
 
 
@@ -143,15 +159,29 @@ def scale_bias(seeds):
               f'{np.std(found) / np.sqrt(seeds):.5f} |', flush=True)
 
 
-def speed(sizes):
-    print('\n| poses | CPU, s | CPU a pose, us |\n|---|---|---|')
-    noise = (Noise(white=0.01, white_rotation=0.003, walk=0.005, walk_rotation=0.0005),) * 2
-    for poses in sizes:
-        pairs, _ = drawn(Wander(), (poses - 1) / 10, 10.0, noise, 0)
-        start = time.process_time()
-        solve_pairs(pairs, AUTO)
-        seconds = time.process_time() - start
-        print(f'| {poses} | {seconds:.2f} | {1e6 * seconds / poses:.0f} |', flush=True)
+def timed(name, poses):
+    """Print one row; in a process of its own, whose peak memory is its own."""
+    noise, scale = DRIVES[name]
+    if noise.jumps:
+        noise = replace(noise, jumps=poses // 1000)
+    pairs, _ = drawn(Wander(), (poses - 1) / 10, 10.0, (noise, replace(noise, scale=scale)), 0)
+    start = time.process_time()
+    solution = solve_pairs(pairs, AUTO)
+    seconds = time.process_time() - start
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    settled = 'no' if any('before it settled' in text for text in solution.warnings) else 'yes'
+    print(f'| {name} | {poses} | {seconds:.2f} | {1e6 * seconds / poses:.0f} | '
+          f'{solution.iterations} | {settled} | {peak:.2f} |', flush=True)
+
+
+def speed(names, sizes):
+    print('\n| noise | poses | CPU, s | CPU a pose, us | iterations on all poses | settled | '
+          'peak memory, GiB |\n|---|---|---|---|---|---|---|', flush=True)
+    for name in names:
+        for poses in sizes:
+            process = get_context('spawn').Process(target=timed, args=(name, poses))
+            process.start()
+            process.join()
 
 
 def main():
@@ -160,12 +190,15 @@ def main():
     parser.add_argument('--seeds', type=int, default=40)
     parser.add_argument('--scale-seeds', type=int, default=200)
     parser.add_argument('--sizes', default='2343,10000,100000')
+    parser.add_argument('--only-times', action='store_true')
+    parser.add_argument('--noise', action='append', choices=DRIVES, help='of the timed drives')
     options = parser.parse_args()
-    published_runs(options.data)
-    published_drives(options.data)
-    simulated_pairs(options.seeds)
-    scale_bias(options.scale_seeds)
-    speed([int(size) for size in options.sizes.split(',')])
+    if not options.only_times:
+        published_runs(options.data)
+        published_drives(options.data)
+        simulated_pairs(options.seeds)
+        scale_bias(options.scale_seeds)
+    speed(options.noise or DRIVES, [int(size) for size in options.sizes.split(',')])
 
 
 if __name__ == '__main__':

@@ -1,5 +1,7 @@
 """The drift-aware solver as a whole: laws, noise identified, honest covariance, real data."""
 
+from functools import partial
+
 from motion_data import random_pose
 import numpy as np
 from published import kitti, SEQUENCES, simulations
@@ -12,6 +14,8 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.metrics import absolute_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.solvers.drift.fit import fit
+from trajectory_calibration.solvers.drift.selection import estimate
 from trajectory_calibration.solvers.drift_aware import solve_pairs
 
 FIXED = dict.fromkeys(('scale', 'systematic_drift', 'time_offset'), 'fixed')
@@ -245,6 +249,41 @@ def test_thinned_first_then_all_poses():
     error = error_of(solution, T_a_b)
     assert error @ np.linalg.solve(solution.covariance, error) / 6 < 2.8
     np.testing.assert_allclose(solution.diagnosis.white_m, 0.01, rtol=0.05)
+
+
+@pytest.mark.parametrize('noise', [
+    {'white': (0.02, 0.01)},
+    {'walk': (0.02, 0.005)},
+    {'white': (0.01, 0.003), 'walk': (0.003, 0.0005), 'scale': 1.02},
+    {'white': (0.01, 0.005), 'walk': (0.01, 0.002), 'drift': (0.0, 0.02, 0.0),
+     'jumps': [(k, np.array([0.3, 0.1, 0.2])) for k in range(20, 290, 90)]},
+])
+@pytest.mark.parametrize('poses', [300, 1600])
+def test_the_answer_has_settled(noise, poses):
+    pairs, _ = simulated(13, poses=poses, **noise)
+    with np.errstate(all='ignore'):
+        found = estimate(pairs, AUTO)
+        # From there, and from variances that all act again.
+        tight = [fit(found.chain, found.state, start, found.terms, max_iterations=100,
+                     tolerance=0.01) for start in (found.noise, found.noise.revived())]
+    assert found.converged
+    for other in tight:
+        assert other.converged
+        deviation = np.sqrt(np.diag(other.evaluation.covariance))
+        between = se3.inverse(found.state.T_a_b) @ other.state.T_a_b
+        moved = np.concatenate([between[:3, 3], se3.log_so3(between[:3, :3])])
+        np.testing.assert_array_less(np.abs(moved), 0.05 * deviation[:6])
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(found.evaluation.covariance)), deviation, rtol=0.05)
+
+
+def test_a_fit_that_did_not_settle_says_so(monkeypatch):
+    pairs, _ = simulated(14, poses=600, white=(0.01, 0.005), walk=(0.01, 0.002))
+    assert solve_pairs(pairs, FIXED).warnings == ()
+    monkeypatch.setattr(
+        'trajectory_calibration.solvers.drift.selection.fit', partial(fit, max_iterations=1))
+    (warning,) = solve_pairs(pairs, FIXED).warnings
+    assert 'drift_aware: stopped after 1 iterations before it settled' in warning
 
 
 @pytest.mark.parametrize(('case', 'metres', 'degrees'), [

@@ -73,6 +73,12 @@ def test_block_chain_against_dense_algebra(blocks):
     np.testing.assert_allclose(upper, inverse[k[:-1], k[1:]], atol=1e-11)
 
 
+def test_block_chain_in_pieces(monkeypatch):
+    monkeypatch.setattr('trajectory_calibration.solvers.drift.block_chain._PIECE', 2)
+    for blocks in (4, 5, 6, 13):
+        test_block_chain_against_dense_algebra(blocks)
+
+
 def test_block_chain_refuses_what_is_not_positive_definite():
     with pytest.raises(np.linalg.LinAlgError):
         BlockChain.factor(-np.ones((3, 1, 1)), np.zeros((2, 1, 1)))
@@ -179,14 +185,39 @@ def test_score_of_the_variances(problem):
     np.testing.assert_allclose(found, numeric, rtol=1e-3, atol=1e-3)
 
 
+def test_what_the_noise_does_to_the_answer(problem):
+    chain, state, noise = problem
+    noise = replace(noise, jump_variance=np.array([1e4, 1e4]))
+    columns = columns_of(('scale', 'time_offset'))
+
+    def step(of_noise):
+        return evaluate(chain, state, of_noise, columns).parameter_step
+
+    found = evaluate(chain, state, noise, columns)
+    numeric = np.stack([
+        step(replace(noise, log_variances=noise.log_variances + change))
+        - step(replace(noise, log_variances=noise.log_variances - change))
+        for change in 1e-5 * np.eye(6)], axis=1) / 2e-5
+    np.testing.assert_allclose(found.sensitivity, numeric, rtol=1e-3, atol=1e-6)
+    narrow = noise.walk_parts().sum(axis=0)
+    reweighted = np.zeros(noise.jump_probability.shape)
+    for k, part in ((0, 0), (2, 1), (5, 0)):
+        change = 1e-4 * np.eye(reweighted.size)[2 * k + part].reshape(reweighted.shape)
+        ahead, behind = (replace(noise, jump_probability=noise.jump_probability + sign * change)
+                         for sign in (1, -1))
+        reweighted = ahead.walk_precision(narrow) - behind.walk_precision(narrow)
+        expected = -found.covariance @ np.tensordot(reweighted, found.leverage, 2)
+        np.testing.assert_allclose(step(ahead) - step(behind), expected, rtol=1e-3, atol=1e-9)
+
+
 def test_pieces_do_not_change_the_result(problem, monkeypatch):
     chain, state, noise = problem
     columns = columns_of(ALL_TERMS)
     whole = evaluate(chain, state, noise, columns)
     monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood.PIECE', 3)
-    monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood._KEEP', 5)
     pieces = evaluate(chain, state, noise, columns)
-    for name in ('objective', 'parameter_step', 'score', 'score_information', 'walk_spread'):
+    for name in ('objective', 'parameter_step', 'score', 'score_information', 'walk_spread',
+                 'leverage'):
         np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=1e-8,
                                    atol=1e-12, err_msg=name)
 

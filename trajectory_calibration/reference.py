@@ -30,7 +30,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.excitation import thinned
 from trajectory_calibration.motions import AUTOMATIC, parse_reference, select_motions
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers import drift_aware, load_solver, WITHOUT_REFERENCE
+from trajectory_calibration.solvers import load_solver, WITHOUT_REFERENCE
 from trajectory_calibration.uncertainty import estimate_uncertainty, Uncertainty
 
 # A rotation counts by what it moves at this distance, metres.
@@ -140,7 +140,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
 
 def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:
     motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
-    solution = drift_aware.solve(motions, config)
+    solution = load_solver('drift_aware')(motions, config)
     uncertainty = estimate_uncertainty(solution, motions)
     unit = np.repeat([1.0, _DISTANCE], 3)
     variances, axes = np.linalg.eigh(uncertainty.covariance * np.outer(unit, unit))

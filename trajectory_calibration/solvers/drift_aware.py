@@ -24,6 +24,7 @@ from trajectory_calibration.solvers.drift.covariance import (
     parameter_covariance,
 )
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
+from trajectory_calibration.solvers.drift.fit import Fit
 from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
 from trajectory_calibration.solvers.drift.selection import estimate, optional_terms
 from trajectory_calibration.solvers.solution import Solution
@@ -74,11 +75,23 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         cost=fit.evaluation.objective,
         iterations=fit.iterations,
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
-        warnings=(*warnings_of(diagnosis), *lags.warnings(fit.state.T_a_b)),
+        warnings=(
+            *warnings_of(diagnosis), *lags.warnings(fit.state.T_a_b), *_unsettled(fit)),
         scale=fit.state.scale,
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,
     )
+
+
+def _unsettled(fit: Fit) -> tuple[str, ...]:
+    """Return a warning where the final fit ended at its limit of iterations."""
+    if fit.converged:
+        return ()
+    step = np.abs(fit.evaluation.parameter_step) / np.sqrt(np.diag(fit.evaluation.covariance))
+    warning = (
+        f'drift_aware: stopped after {fit.iterations} iterations before it settled; its last '
+        f'step was {step.max():.2g} of the standard deviation: compare with dnlo or record longer')
+    return (warning,)
 
 
 def _require_motion(pairs: PosePairs) -> None:

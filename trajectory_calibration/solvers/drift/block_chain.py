@@ -14,11 +14,15 @@ the ACM 18(3), 1975, doi:10.1145/360680.360704.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
+
+# Blocks that are eliminated at once: what is made on the way stays in the cache of a core.
+_PIECE = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,21 +74,25 @@ class BlockChain:
         log_determinant = 0.0
         D, E = diagonal, upper
         while len(D) > 1:
-            L = np.linalg.cholesky(D[1::2])
-            log_determinant += 2 * float(
-                np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
-            inverse_root = np.linalg.inv(L)
-            coupling = np.zeros((len(L), n, 2 * n))
-            coupling[:, :, :n] = E[0::2].transpose(0, 2, 1)
-            coupling[:len(E) // 2, :, n:] = E[1::2]
-            coupling = inverse_root @ coupling
-            levels.append(_Level(inverse_root, coupling, len(D)))
-            update = coupling.transpose(0, 2, 1) @ coupling
-            D = D[0::2].copy()
-            D[:len(L)] -= update[:, :n, :n]
-            pairs = len(D) - 1
-            D[1:] -= update[:pairs, n:, n:]
-            E = -update[:pairs, :n, n:]
+            odd, after = len(D) // 2, (len(D) - 1) // 2
+            level = _Level(np.empty((odd, n, n)), np.zeros((odd, n, 2 * n)), len(D))
+            evens, E_next = D[0::2].copy(), np.empty((after, n, n))
+            for first, last, pairs in _pieces(odd, after):
+                L = np.linalg.cholesky(D[2 * first + 1:2 * last:2])
+                log_determinant += 2 * float(
+                    np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+                inverse_root = np.linalg.inv(L)
+                coupling = np.zeros((len(L), n, 2 * n))
+                coupling[:, :, :n] = E[2 * first:2 * last:2].transpose(0, 2, 1)
+                coupling[:pairs - first, :, n:] = E[2 * first + 1:2 * pairs:2]
+                coupling = inverse_root @ coupling
+                update = coupling.transpose(0, 2, 1) @ coupling
+                level.inverse_root[first:last], level.coupling[first:last] = inverse_root, coupling
+                evens[first:last] -= update[:, :n, :n]
+                evens[first + 1:pairs + 1] -= update[:pairs - first, n:, n:]
+                E_next[first:pairs] = -update[:pairs - first, :n, n:]
+            levels.append(level)
+            D, E = evens, E_next
         L = np.linalg.cholesky(D[0])
         log_determinant += 2 * float(np.log(np.diagonal(L)).sum())
         return cls(tuple(levels), np.linalg.inv(L), log_determinant)
@@ -94,20 +102,24 @@ class BlockChain:
         n = self.root.shape[0]
         halves = []
         for level in self.levels:
-            half = level.inverse_root @ right[1::2]
+            half = np.empty((level.blocks // 2, *right.shape[1:]))
+            evens = right[0::2].copy()
+            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
+                half[first:last] = level.inverse_root[first:last] @ right[2 * first + 1:2 * last:2]
+                update = level.coupling[first:last].transpose(0, 2, 1) @ half[first:last]
+                evens[first:last] -= update[:, :n]
+                evens[first + 1:pairs + 1] -= update[:pairs - first, n:]
             halves.append(half)
-            update = level.coupling.transpose(0, 2, 1) @ half
-            right = right[0::2].copy()
-            right[:len(half)] -= update[:, :n]
-            right[1:] -= update[:len(right) - 1, n:]
+            right = evens
         x = (self.root.T @ (self.root @ right[0]))[None]
         for level, half in zip(reversed(self.levels), reversed(halves), strict=True):
             fine = np.empty((level.blocks, n, x.shape[2]))
             fine[0::2] = x
-            own = half - level.coupling[:, :, :n] @ x[:len(half)]
-            after = len(x) - 1
-            own[:after] -= level.coupling[:after, :, n:] @ x[1:]
-            fine[1::2] = level.inverse_root.transpose(0, 2, 1) @ own
+            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
+                own = half[first:last] - level.coupling[first:last, :, :n] @ x[first:last]
+                own[:pairs - first] -= level.coupling[first:pairs, :, n:] @ x[first + 1:pairs + 1]
+                fine[2 * first + 1:2 * last:2] = (
+                    level.inverse_root[first:last].transpose(0, 2, 1) @ own)
             x = fine
         return x
 
@@ -117,20 +129,31 @@ class BlockChain:
         S = (self.root.T @ self.root)[None]
         C = np.zeros((0, n, n))
         for level in reversed(self.levels):
-            odd, even = level.blocks // 2, len(S)
-            joint = np.zeros((odd, 2 * n, 2 * n))
-            joint[:, :n, :n] = S[:odd]
-            joint[:even - 1, n:, n:] = S[1:]
-            joint[:even - 1, :n, n:] = C
-            joint[:even - 1, n:, :n] = C.transpose(0, 2, 1)
-            V = level.inverse_root.transpose(0, 2, 1) @ level.coupling
-            cross = -V @ joint
             fine_S = np.empty((level.blocks, n, n))
-            fine_S[0::2] = S
-            fine_S[1::2] = (level.inverse_root.transpose(0, 2, 1) @ level.inverse_root
-                            - cross @ V.transpose(0, 2, 1))
             fine_C = np.empty((level.blocks - 1, n, n))
-            fine_C[0::2] = cross[:, :, :n].transpose(0, 2, 1)
-            fine_C[1::2] = cross[:even - 1, :, n:]
+            fine_S[0::2] = S
+            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
+                joint = np.zeros((last - first, 2 * n, 2 * n))
+                joint[:, :n, :n] = S[first:last]
+                joint[:pairs - first, n:, n:] = S[first + 1:pairs + 1]
+                joint[:pairs - first, :n, n:] = C[first:pairs]
+                joint[:pairs - first, n:, :n] = C[first:pairs].transpose(0, 2, 1)
+                root_t = level.inverse_root[first:last].transpose(0, 2, 1)
+                V = root_t @ level.coupling[first:last]
+                cross = -V @ joint
+                fine_S[2 * first + 1:2 * last:2] = (
+                    root_t @ level.inverse_root[first:last] - cross @ V.transpose(0, 2, 1))
+                fine_C[2 * first:2 * last:2] = cross[:, :, :n].transpose(0, 2, 1)
+                fine_C[2 * first + 1:2 * pairs:2] = cross[:pairs - first, :, n:]
             S, C = fine_S, fine_C
         return S, C
+
+
+def _pieces(odd: int, after: int) -> Iterator[tuple[int, int, int]]:
+    """Yield first and last of the odd blocks of a piece, and the last with a right neighbour.
+
+    ``after`` of the blocks have one.
+    """
+    for first in range(0, odd, _PIECE):
+        last = min(first + _PIECE, odd)
+        yield first, last, min(last, after)

@@ -8,13 +8,14 @@ such a variance falls by a factor in every iteration until it no longer matters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation
+from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation, predict_step
 from trajectory_calibration.solvers.drift.model import (
     Chain,
     EXTRINSIC,
@@ -24,15 +25,28 @@ from trajectory_calibration.solvers.drift.model import (
     State,
     TERM_COLUMNS,
 )
-from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise
+from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
 
 # The largest change of a log variance in one step, up and down.
 _LARGEST_RISE, _LARGEST_FALL = 1.5, 2.5
 # A variance whose score is below this hardly acts.
 _SMALL_SCORE = 0.1
-# Converged: parameters move by less than this share of their standard deviation, and the
-# objective by less than this: far below what the data can tell apart.
-SMALL_STEP, SMALL_GAIN = 0.06, 0.5
+# A variance with less information than this about its logarithm has vanished; it comes back where
+# the objective gains this from it.
+_VANISHED, _WORTH_REVIVING = 1.0, 0.5
+# Steps shrink from one to the next by this at least: what they wander by beside is no pace.
+_SLOWEST_PACE = 0.5
+# Added to correlations of the variances, two of which may be the same.
+_RIDGE = 1e-3
+# A trust that was lost grows by this factor in every step that does not turn; slowly, because
+# what turned once tends to turn again, but it must grow or the fit would stop short.
+_REGAINED_BY_VARIANCES, _REGAINED_BY_JUMPS = 1.3, 1.15
+# Room that a variance at its limit keeps, because limits must differ.
+_NEXT_TO_NOTHING = 1e-9
+# Converged: parameters, and what the next step of the variances would do to them, move by less
+# than this share of their standard deviation, and that deviation by less than that share of
+# itself. None of it tightens with the number of poses.
+SMALL_STEP, SMALL_CHANGE = 0.03, 0.02
 # The largest step of a global term in one iteration (one, metres a metre, seconds).
 _LARGEST_TERM_STEP = {'scale': 0.2, 'systematic_drift': 0.05, 'time_offset': 0.05}
 # A drift of this much per metre is no drift: the model's step has no length.
@@ -47,7 +61,7 @@ class Fit:
     ----------
     chain, state, noise : the data, the unknowns, the noise.
     terms : names of the global terms that were estimated.
-    evaluation : at the state.
+    evaluation : at the state, or where it converged one negligible step before it.
     iterations : number of them.
     converged : whether the last steps were negligible.
 
@@ -87,10 +101,12 @@ def fit(
     terms: Sequence[str] = (),
     max_iterations: int = 25,
     tolerance: float = 1.0,
+    smallest_gain: float = np.inf,
 ) -> Fit:
     """Minimise over bodies, extrinsic, terms, variances and jumps, from a state and a noise.
 
-    ``tolerance`` multiplies the limits below which a step counts as negligible.
+    ``tolerance`` multiplies the limits below which a step counts as negligible; beside them the
+    objective must move by less than ``smallest_gain`` where objectives will be compared.
 
     Raises
     ------
@@ -99,11 +115,14 @@ def fit(
 
     """
     columns = columns_of(terms)
-    previous = np.inf
-    trust = VarianceTrust()
+    progress = _Progress()
+    of_variances, of_jumps = (
+        Trust(len(COMPONENTS), _REGAINED_BY_VARIANCES),
+        Trust(noise.jump_probability.shape, _REGAINED_BY_JUMPS))
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
     first_scale = state.scale
+    revived = False
     for iteration in range(1, max_iterations + 1):
         if not 0.5 < state.scale / first_scale < 2:
             raise SolverError(
@@ -111,20 +130,67 @@ def fit(
                 'the trajectories span); needed steps longer than their noise, or scale fixed')
         evaluation = _evaluate(chain, state, noise, columns, power)
         power = 0.5 * evaluation.position_traces
-        step = evaluation.parameter_step
-        gain = abs(previous - evaluation.objective)
-        previous = evaluation.objective
-        deviation = np.sqrt(np.diag(evaluation.covariance))
-        if (gain < tolerance * SMALL_GAIN
-                and np.all(np.abs(step) < tolerance * SMALL_STEP * deviation)):
-            return Fit(
-                chain, state, noise, tuple(terms), evaluation, iteration, converged=True)
-        state = _moved(state, evaluation, step, columns)
-        noise = noise.with_jumps(evaluation.walk_squares, evaluation.walk_spread)
-        noise = noise.with_log_variances(
-            noise.log_variances + trust.limit(variance_step(evaluation)))
+        wished = variance_step(evaluation, noise.log_variances - noise.lowest())
+        judged = noise.with_jumps(evaluation.walk_squares, evaluation.walk_spread)
+        narrow = noise.walk_parts().sum(axis=0)
+        remaining, gain = progress.judge(
+            evaluation, wished, judged.walk_precision(narrow) - noise.walk_precision(narrow))
+        # A step that is as good as nothing is taken too: its rest is of second order.
+        state = _moved(state, evaluation.body_response, evaluation.parameter_step, columns)
+        if remaining < tolerance and gain < smallest_gain:
+            missed = missed_variances(evaluation)
+            if revived or not missed.any():
+                return Fit(
+                    chain, state, noise, tuple(terms), evaluation, iteration, converged=True)
+            revived = True
+            noise = noise.with_log_variances(noise.log_variances + missed)
+        else:
+            noise = replace(judged, jump_probability=noise.jump_probability + of_jumps.damped(
+                judged.jump_probability - noise.jump_probability))
+            noise = noise.with_log_variances(noise.log_variances + of_variances.damped(wished))
     evaluation = _evaluate(chain, state, noise, columns, power)
     return Fit(chain, state, noise, tuple(terms), evaluation, max_iterations, converged=False)
+
+
+class _Progress:
+    """How far a fit may still go, from one iteration to the next."""
+
+    def __init__(self) -> None:
+        self._objective, self._size = np.inf, np.inf
+        self._deviation: FloatArray | None = None
+
+    def judge(
+        self, evaluation: Evaluation, wished: FloatArray, reweighted: FloatArray,
+    ) -> tuple[float, float]:
+        """Return what remains, one where it is just negligible, and the change of the objective.
+
+        ``wished`` (6,) is the next step of the log variances, ``reweighted`` (N - 1, 2) that of
+        the precision of each step of the walk, as another one becomes a jump.
+        """
+        deviation = np.sqrt(np.diag(evaluation.covariance))
+        size = float((np.abs(evaluation.parameter_step) / deviation).max())
+        # Steps that shrink by a factor add up to a geometric series.
+        pace = min(size / self._size, _SLOWEST_PACE) if self._size > 0 else 0.0
+        by_variances = np.abs(evaluation.sensitivity @ np.maximum(wished, -1.0)) / deviation
+        by_jumps = np.abs(evaluation.covariance @ np.tensordot(
+            reweighted, evaluation.leverage, 2)) / deviation
+        change = (np.inf if self._deviation is None
+                  else float(np.abs(np.log(deviation / self._deviation)).max()))
+        gain = abs(self._objective - evaluation.objective)
+        self._objective, self._size, self._deviation = evaluation.objective, size, deviation
+        moved = max(size / (1 - pace), float(by_variances.max()), float(by_jumps.max()))
+        return max(moved / SMALL_STEP, change / SMALL_CHANGE), gain
+
+
+def settled(chain: Chain, state: State, noise: Noise, terms: Sequence[str]) -> State:
+    """Return the state after one step of everything but the noise.
+
+    From a state whose bodies were not fitted, what is of second order in their step would pass
+    for a walk or for jumps.
+    """
+    columns = columns_of(terms)
+    step, _, response = predict_step(chain, state, noise, columns, 1.5 * (len(chain) - 1))
+    return _moved(state, response, step, columns)
 
 
 def scale_covariance(
@@ -146,35 +212,61 @@ def scale_covariance(
     return corrected
 
 
-def variance_step(evaluation: Evaluation) -> FloatArray:
-    """Return the (6,) step of the log variances, downhill on the restricted likelihood."""
+def variance_step(evaluation: Evaluation, room: FloatArray) -> FloatArray:
+    """Return the (6,) step of the log variances, downhill on the restricted likelihood.
+
+    It minimises the quadratic model in a box: what a variance at its limit leaves over is for
+    the others to explain. They may fall by (6,) ``room`` at most.
+    """
     score, information = evaluation.score, evaluation.score_information
     eigenvalues, axes = np.linalg.eigh(information)
-    curvature = np.maximum(eigenvalues, 1e-8 * eigenvalues[-1] + 1e-3)
-    step: FloatArray = -0.5 * axes @ (axes.T @ score / curvature)
+    root = np.sqrt(np.maximum(eigenvalues, 1e-8 * eigenvalues[-1] + 1e-3))
+    lowest = -np.clip(room, 0.0, _LARGEST_FALL)
     # Where a variance hardly acts, slope and curvature vanish together: do not leap.
-    return np.where(np.abs(score) < _SMALL_SCORE, np.minimum(step, 0.0), step)
+    highest = np.where(np.abs(score) < _SMALL_SCORE, 0.0, _LARGEST_RISE)
+    step: FloatArray = lsq_linear(
+        root[:, None] * axes.T, -0.5 * axes.T @ score / root,
+        (lowest - _NEXT_TO_NOTHING, highest + _NEXT_TO_NOTHING), method='bvls').x
+    return step
 
 
-class VarianceTrust:
-    """How far each log variance may move: less after every change of direction."""
+def missed_variances(evaluation: Evaluation) -> FloatArray:
+    """Return (6,) changes of the log variances for those that should not have vanished.
 
-    def __init__(self) -> None:
-        self._share = np.ones(len(COMPONENTS))
-        self._last = np.zeros(len(COMPONENTS))
+    The likelihood is smooth in a variance near zero, though not in its logarithm: slope and
+    curvature by the walk's variances, everything else free to follow, say where it would be. For
+    vanished white noise they are differences of large numbers, and nothing but rounding.
+    """
+    score, information = evaluation.score, evaluation.score_information
+    own = np.maximum(np.diag(information), np.finfo(float).tiny)
+    root = np.sqrt(own)
+    correlation = information / np.outer(root, root) + _RIDGE * np.eye(len(score))
+    alone = own / np.diag(np.linalg.inv(correlation))
+    factor = -0.5 * score / alone
+    missed = (own < _VANISHED) & (score**2 > 4 * alone * _WORTH_REVIVING) & (factor > 1)
+    missed[:WHITE] = False
+    return np.where(missed, np.log(np.maximum(factor, 1.0)), 0.0)
 
-    def limit(self, step: FloatArray) -> FloatArray:
-        """Return the (6,) step within the limits."""
+
+class Trust:
+    """How much of a step is taken, element by element: less after every change of direction."""
+
+    def __init__(self, shape: int | tuple[int, ...], regained: float) -> None:
+        self._regained = regained
+        self._share = np.ones(shape)
+        self._last = np.zeros(shape)
+
+    def damped(self, step: FloatArray) -> FloatArray:
+        """Return the trusted share of a step."""
         turned = step * self._last < 0
-        self._share = np.where(turned, 0.5 * self._share, np.minimum(1.3 * self._share, 1.0))
+        regained = np.minimum(self._regained * self._share, 1.0)
+        self._share = np.where(turned, 0.5 * self._share, regained)
         self._last = step
-        limited: FloatArray = np.clip(
-            step, -_LARGEST_FALL * self._share, _LARGEST_RISE * self._share)
-        return limited
+        return self._share * step
 
 
 def _moved(
-    state: State, evaluation: Evaluation, step: FloatArray, columns: IndexArray,
+    state: State, response: FloatArray, step: FloatArray, columns: IndexArray,
 ) -> State:
     parameters = np.zeros(PARAMETERS)
     parameters[columns] = step
@@ -183,7 +275,6 @@ def _moved(
                   for name, limit in _LARGEST_TERM_STEP.items())
     step = step / max(1.0, longest)
     parameters /= max(1.0, longest)
-    response = evaluation.body_response
     bodies = -(response[:, :, -1] + response[:, :, :-1] @ step)
     return state.moved(parameters, bodies)
 

@@ -44,8 +44,6 @@ PIECE = 2048
 FREE_VARIANCE = 1e6
 # Relative size of eigenvalues that rounding leaves of zero.
 _ROUNDING = 1e-13
-# Up to this many poses the linearisation is kept for the second pass instead of being repeated.
-_KEEP = 32768
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +60,10 @@ class Evaluation:
     walk_squares, walk_spread : (N - 1, 2), of the expected walk of each step, translation and
         rotation: squared length, and trace of the posterior covariance.
     score, score_information : (6,) and (6, 6), by the log variances.
+    sensitivity : (m, 6), derivative of the global parameters' step by the log variances.
     position_traces : tr(P R) over the translation noise of white and walk together.
     contributions : (N, m), of every pose and the step from it to the gradient at the minimum.
+    leverage : (N - 1, 2, m), of a unit of precision of each step, translation and rotation, to it.
 
     """
 
@@ -75,8 +75,10 @@ class Evaluation:
     walk_spread: FloatArray
     score: FloatArray
     score_information: FloatArray
+    sensitivity: FloatArray
     position_traces: float
     contributions: FloatArray
+    leverage: FloatArray
 
 
 def evaluate(
@@ -97,10 +99,10 @@ def evaluate(
 
 def predict_step(
     chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the (m,) Gauss-Newton step and the (m, m) covariance only: a third of the work."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the step, the covariance and the body response only: a third of the work."""
     solved = _Evaluator(chain, state, noise, columns, scale_power).solve()
-    return solved.step, solved.covariance + FREE_VARIANCE * solved.free
+    return solved.step, solved.covariance + FREE_VARIANCE * solved.free, solved.response
 
 
 def invert_information(
@@ -151,8 +153,7 @@ class _Evaluator:
                 continue
             last = min(first + PIECE, len(self.chain))
             piece = linearise(self.chain, self.state, self.columns, first, last)
-            if len(self.chain) <= _KEEP:
-                self.kept.append(piece)
+            self.kept.append(piece)
             yield first, piece
 
     def solve(self) -> _Solved:
@@ -161,7 +162,7 @@ class _Evaluator:
         diagonal, upper, border, corner = self.normal_equations()
         system = BlockChain.factor(diagonal, upper)
         response = system.solve(border)
-        schur = corner - np.tensordot(border, response, ((0, 1), (0, 1)))
+        schur = corner - _inner(border, response)
         schur = 0.5 * (schur + schur.T)
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
         gradient = schur[:m, m] - self.scale_power * self.is_scale / self.state.scale
@@ -183,6 +184,8 @@ class _Evaluator:
             + quadratic - 2 * power @ np.log(scale))
         posterior = self.posterior(system, response, step, covariance)
         score, traces = self.score(posterior)
+        information, sensitivity = self.score_information(
+            system, solved.border[:, :, :m], covariance, posterior)
         return Evaluation(
             objective=float(objective),
             covariance=covariance + FREE_VARIANCE * solved.free,
@@ -191,10 +194,11 @@ class _Evaluator:
             walk_squares=posterior.walk_squares,
             walk_spread=posterior.walk_spread,
             score=score,
-            score_information=self.score_information(
-                system, solved.border[:, :, :m], covariance, posterior),
+            score_information=information,
+            sensitivity=sensitivity,
             position_traces=traces,
             contributions=posterior.contributions,
+            leverage=posterior.leverage,
         )
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -240,6 +244,7 @@ class _Evaluator:
         walked = np.empty((N - 1, 6))
         spread = np.empty((N - 1, 2))
         contributions = np.zeros((N, m))
+        leverage = np.empty((N - 1, 2, m))
         white_spread = np.zeros((6, 6))
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))
@@ -260,10 +265,13 @@ class _Evaluator:
             variance = ((K @ S[steps] + 2 * L @ C[steps].transpose(0, 2, 1)) * K).sum(axis=2)
             variance += ((L @ S[after]) * L).sum(axis=2) + (part**2).sum(axis=2)
             spread[steps] = variance.reshape(-1, 2, 3).sum(axis=2)
-            weighted = np.repeat(self.walk_precision[steps], 3, axis=1) * walked[steps]
-            contributions[steps] += np.einsum('kij,ki->kj', design[:, :, :m], weighted)
+            product = design[:, :, :m] * design[:, :, m:]
+            leverage[steps] = product.reshape(-1, 2, 3, m).sum(axis=2)
+            contributions[steps] += np.einsum(
+                'kpj,kp->kj', leverage[steps], self.walk_precision[steps])
         squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
-        return _Posterior(observed, walked, squares, spread, white_spread, contributions)
+        return _Posterior(
+            observed, walked, squares, spread, white_spread, contributions, leverage)
 
     def score(self, posterior: _Posterior) -> tuple[FloatArray, float]:
         """Return the (6,) score by the log variances and tr(P R) of the translations."""
@@ -285,8 +293,8 @@ class _Evaluator:
     def score_information(
         self, system: BlockChain, border: FloatArray, covariance: FloatArray,
         posterior: _Posterior,
-    ) -> FloatArray:
-        """Return the (6, 6) average information of the log variances."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the (6, 6) average information of the log variances, the (m, 6) sensitivity."""
         N, m, n = len(self.chain), self.m, len(COMPONENTS)
         weighted = posterior.observed @ self.white_precision
         # R^-1 R_i P y of the observations and of the walk.
@@ -305,22 +313,22 @@ class _Evaluator:
             poses = slice(first, first + len(piece.observation))
             product = piece.observation[:, :, :6].transpose(0, 2, 1) @ observed[poses]
             right[poses, :, :WHITE] += product
-            corner[:, :WHITE] += np.tensordot(
-                piece.observation[:, :, 6:6 + m], observed[poses], ((0, 1), (0, 1)))
+            corner[:, :WHITE] += _inner(
+                piece.observation[:, :, 6:6 + m], observed[poses])
             steps = slice(first, first + len(piece.walk))
             product = piece.walk[:, :, :12].transpose(0, 2, 1) @ walked[steps]
             right[steps, :, WHITE:] += product[:, :6]
             right[first + 1:first + 1 + len(piece.walk), :, WHITE:] += product[:, 6:]
-            corner[:, WHITE:] += np.tensordot(
-                piece.walk[:, :, 12:12 + m], walked[steps], ((0, 1), (0, 1)))
+            corner[:, WHITE:] += _inner(
+                piece.walk[:, :, 12:12 + m], walked[steps])
         solution = system.solve(right)
-        corner -= np.tensordot(border, solution, ((0, 1), (0, 1)))
-        total = -np.tensordot(right, solution, ((0, 1), (0, 1))) - corner.T @ covariance @ corner
-        total[:WHITE, :WHITE] += np.tensordot(
-            observed @ np.eye(WHITE), self.white @ observed, ((0, 1), (0, 1)))
+        corner -= _inner(border, solution)
+        total = -_inner(right, solution) - corner.T @ covariance @ corner
+        total[:WHITE, :WHITE] += _inner(observed, self.white @ observed)
         variance = np.repeat(1 / self.walk_precision, 3, axis=1)[:, :, None]
-        total[WHITE:, WHITE:] += np.tensordot(walked, variance * walked, ((0, 1), (0, 1)))
-        return 0.25 * (total + total.T)
+        total[WHITE:, WHITE:] += _inner(walked, variance * walked)
+        # With G^T V^-1 (r + G g) = 0, V of the bodies eliminated: dg = cov G^T V^-1 R_i P y.
+        return 0.25 * (total + total.T), covariance @ corner
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,3 +355,10 @@ class _Posterior:
     walk_spread: FloatArray
     white_spread: FloatArray
     contributions: FloatArray
+    leverage: FloatArray
+
+
+def _inner(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the (m, n) products of the columns of (N, 6, m) with those of (N, 6, n)."""
+    product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
+    return product

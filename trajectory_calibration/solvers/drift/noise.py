@@ -33,6 +33,8 @@ _SMALLEST = 1e-8
 _LARGEST_RATIO = 1e8
 # ... and within this one where all of them shall act.
 _REVIVED = 0.03
+# White noise that the steps of a coarser chain hid is brought up to this share of the walk.
+_HIDDEN = 1e-3
 # A jump has at least this many times the variance of the median step.
 _JUMP_RATIO = 30.0
 # ... and this many times that of the white noise of a pose: less does not stand out.
@@ -81,13 +83,22 @@ class Noise:
         return cls(log_variances, profiles, np.full(squares.shape, 0.02),
                    np.maximum(largest, _JUMP_RATIO * scale), np.full(2, 0.02))
 
-    def carried_to(self, chain: Chain) -> Noise:
-        """Return the same variances for a finer chain, the jumps not yet located."""
+    def carried_to(self, chain: Chain, finer: float) -> Noise:
+        """Return the same variances and jumps for a chain with ``finer`` times as many steps.
+
+        Every part of a step that jumped may have, until it is judged. White noise may have
+        drowned in the longer steps and has to act again before it can be judged; a walk that the
+        longer steps did not show is not there in the shorter ones.
+        """
         profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
-        share = self.jump_share * len(self.jump_probability) / profiles.shape[1]
-        probability = np.broadcast_to(share, (profiles.shape[1], 2)).copy()
-        return replace(
-            self, profiles=profiles, jump_probability=probability, jump_share=share)
+        parts = np.arange(profiles.shape[1])
+        coarse = self.jump_probability
+        touched = [np.minimum((ends / finer).astype(int), len(coarse) - 1)
+                   for ends in (parts, parts + 1)]
+        carried = replace(
+            self, profiles=profiles, jump_share=self.jump_share / finer,
+            jump_probability=np.maximum(coarse[touched[0]], coarse[touched[1]]))
+        return carried.raised(_HIDDEN, slice(WHITE)).raised(1 / _LARGEST_RATIO)
 
     @property
     def variances(self) -> FloatArray:
@@ -168,23 +179,32 @@ class Noise:
         A variance that has vanished beside another one cannot tell any more whether it would be
         needed: after a change of the model all of them get a new chance.
         """
-        return replace(self, log_variances=self._raised(self.log_variances, np.log(_REVIVED)))
+        return self.raised(_REVIVED)
+
+    def lowest(self) -> FloatArray:
+        """Return the (6,) log variances below which the equations could not be solved."""
+        return self._lowest(1 / _LARGEST_RATIO)
 
     def with_log_variances(self, log_variances: FloatArray) -> Noise:
         """Return the noise with new log variances, kept where the equations can be solved."""
-        return replace(
-            self, log_variances=self._raised(log_variances, -np.log(_LARGEST_RATIO)))
+        return replace(self, log_variances=log_variances).raised(1 / _LARGEST_RATIO)
 
-    def _raised(self, log_variances: FloatArray, log_share: float) -> FloatArray:
-        """Return (6,) log variances, none for a typical step below a share of the largest."""
-        typical = np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
-                            np.mean(self.profiles[1]) * np.ones(2)])
+    def raised(self, share: float, components: slice = slice(None)) -> Noise:
+        """Return the noise with none of the components below a share of the largest."""
+        log_variances = self.log_variances.copy()
+        lowest = self._lowest(share)[components]
+        log_variances[components] = np.maximum(log_variances[components], lowest)
+        return replace(self, log_variances=log_variances)
+
+    def _lowest(self, share: float) -> FloatArray:
+        """Return the (6,) log variances that are a share of the largest, in a typical step."""
+        typical = np.log(np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
+                                   np.mean(self.profiles[1]) * np.ones(2)]))
         # Of one typical step; rows: white, by length, by angle.
-        step = log_variances.reshape(3, 2) + np.log(typical)
-        lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) + log_share)
-        step = np.maximum(step, lowest)
-        raised: FloatArray = (step - np.log(typical)).ravel()
-        return raised
+        step = self.log_variances.reshape(3, 2) + typical
+        lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) + np.log(share))
+        result: FloatArray = (lowest - typical).ravel()
+        return result
 
 
 def _squares(vectors: FloatArray) -> FloatArray:

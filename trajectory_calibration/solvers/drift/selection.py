@@ -16,7 +16,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import quadratic
-from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, Fit, fit
+from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, Fit, fit, settled
 from trajectory_calibration.solvers.drift.likelihood import predict_step
 from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
 
@@ -29,9 +29,10 @@ _REFINEMENT = 3
 # likely start goes on alone. Each of the two noises can pass for the other for a while.
 _START_LAGS = {1: 0.1, 5: 0.5, 20: 0.95}
 _RACE = 4
-# Where terms are compared, and where a chain is only a means to a start, negligible means this
-# many times more.
-_COMPARED, _ROUGH = 1.0, 10.0
+# Where terms are compared, the objective must have settled to this.
+_COMPARED = 0.5
+# Where a chain is only a means to a start, negligible means this many times more.
+_ROUGH = 5.0
 # A scale that differs by less than this is left to the likelihood to find.
 _SIMILAR = 0.5
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
@@ -83,8 +84,8 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     if every == 1:
         return fit(coarse, best.state, best.noise, best.terms)
     while every > 1:
-        every //= _REFINEMENT
-        best = _refine(best, Chain.from_pairs(pairs, max(every, 1)), final=every <= 1)
+        thinned, every = every, max(every // _REFINEMENT, 1)
+        best = _refine(best, Chain.from_pairs(pairs, every), thinned / every, final=every == 1)
     return _revise(best, optional)
 
 
@@ -95,11 +96,12 @@ def optional_terms(terms: Mapping[str, str]) -> tuple[str, ...]:
                  if terms[name] == 'auto' and not _excluded(name, wanted))
 
 
-def _refine(best: Fit, chain: Chain, *, final: bool) -> Fit:
-    """Fit a finer chain, from what a coarser one found."""
+def _refine(best: Fit, chain: Chain, finer: float, *, final: bool) -> Fit:
+    """Fit a chain with ``finer`` times as many steps, from what a coarser one found."""
     state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
-    return fit(chain, state, best.noise.carried_to(chain).revived(), best.terms,
-               tolerance=1.0 if final else _ROUGH)
+    noise = best.noise.carried_to(chain, finer)
+    state = settled(chain, state, noise, best.terms)
+    return fit(chain, state, noise, best.terms, tolerance=1.0 if final else _ROUGH)
 
 
 def _best_start(pairs: PosePairs, every: int, chain: Chain, scale: float) -> Fit:
@@ -112,7 +114,7 @@ def _best_start(pairs: PosePairs, every: int, chain: Chain, scale: float) -> Fit
             f'drift_aware: none of {len(fits)} starts leads anywhere with {len(chain)} poses; '
             'check that both trajectories are of one vehicle, or try dnlo')
     best = min(ahead, key=lambda candidate: candidate.evaluation.objective)
-    return fit(chain, best.state, best.noise, tolerance=_COMPARED)
+    return fit(chain, best.state, best.noise, smallest_gain=_COMPARED)
 
 
 def _tried(chain: Chain, state: State, white_share: float) -> Fit | None:
@@ -125,9 +127,9 @@ def _tried(chain: Chain, state: State, white_share: float) -> Fit | None:
 
 def _with_terms(best: Fit, terms: tuple[str, ...]) -> Fit:
     """Return the fit with the terms that the user asks for."""
-    plain = fit(best.chain, best.state, best.noise, terms, tolerance=_COMPARED)
+    plain = fit(best.chain, best.state, best.noise, terms, smallest_gain=_COMPARED)
     try:
-        revived = fit(best.chain, best.state, best.noise.revived(), terms, tolerance=_COMPARED)
+        revived = fit(best.chain, best.state, best.noise.revived(), terms, smallest_gain=_COMPARED)
     except SolverError:
         return plain
     return min(plain, revived, key=lambda candidate: candidate.evaluation.objective)
@@ -177,7 +179,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
             terms = (*best.terms, name)
             try:
                 candidate = fit(
-                    best.chain, best.state, best.noise.revived(), terms, tolerance=_COMPARED)
+                    best.chain, best.state, best.noise.revived(), terms, smallest_gain=_COMPARED)
             except SolverError:
                 # A term that the motion cannot tell from another one is not supported by it.
                 continue
@@ -218,7 +220,7 @@ def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
         state = replace(state, systematic_drift=np.zeros(3))
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
-    return fit(best.chain, state, best.noise.revived(), terms)
+    return fit(best.chain, state, best.noise, terms)
 
 
 def _excluded(name: str, terms: Sequence[str]) -> bool:
@@ -229,7 +231,7 @@ def _excluded(name: str, terms: Sequence[str]) -> bool:
 def _gain_of_adding(best: Fit, name: str) -> float:
     """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
     columns = columns_of((*best.terms, name))
-    predicted, every_covariance = predict_step(
+    predicted, every_covariance, _ = predict_step(
         best.chain, best.state, best.noise, columns, 0.5 * best.evaluation.position_traces)
     place = term_columns(columns, name)
     return _gain(name, predicted[place], every_covariance[np.ix_(place, place)])
