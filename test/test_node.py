@@ -215,6 +215,34 @@ def test_bad_messages_are_counted_and_harmless(tmp_path):
         'out of order': '2', 'stray stamp': '1', 'other frame': '1'}
 
 
+@pytest.mark.parametrize('type_name', ['Odometry', 'PoseStamped', 'Path'])
+def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
+    with ros.running(tmp_path, *TAYLOR) as (node, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        a = client.publisher('trajectory_a', type_name)
+        whole = ros.serialize_message(
+            ros.to_path(stamps_ns[:50], poses_a[:50]) if type_name == 'Path' else
+            ros.to_message(type_name, stamps_ns[0], poses_a[0], 'map', 'lidar'))
+        # In the encapsulation, the stamp, the frame, the pose.
+        damaged = [whole[:length] for length in (4, 9, 17, 21, 60)]
+        # A frame longer than the message, another byte order than said.
+        damaged.append(whole[:12] + b'\xff' * 4 + whole[16:])
+        damaged.append(b'\x00\x00' + whole[2:])
+        a.publish(whole)
+        for message in damaged:
+            a.publish(message)
+        client.wait(lambda: client.value('trajectory_a', 'refused: unreadable')
+                    == str(len(damaged)), 'the count')
+        client.wait(lambda: f'{len(damaged)} unreadable' in node.log, 'the log')
+        client.publish_drive(stamps_ns, poses_a, poses_b, types=(type_name, 'Odometry'))
+        answer = client.call('calibrate')
+        status, _ = node.stop()
+    assert answer.success, answer.message
+    assert f'{len(damaged)} unreadable' in answer.message
+    assert 'of 100 poses' in answer.message
+    assert (status, 'Traceback' in node.log) == (0, False), node.log
+
+
 def test_a_bag_that_loops_starts_anew(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive(poses=150)
