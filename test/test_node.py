@@ -93,6 +93,44 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
     assert np.allclose(found[:3, :3], ros.T_A_B[:3, :3], atol=1e-6)
 
 
+def test_advice_comes_through_again_once_there_is_more_motion_than_at_a_failure(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        def shown(begin):
+            client.wait(lambda: client.status('calibration').message.startswith(begin), begin)
+            return client.status('calibration').level
+        client.wait(lambda: client.status('calibration') is not None, 'the diagnostics')
+        assert not client.call('calibrate').success
+        assert shown('calibration failed: ') == b'\x01'
+        stamps_ns, poses_a, poses_b = ros.drive(poses=300)
+        publishers = client.publish_drive(stamps_ns[:30], poses_a[:30], poses_b[:30])
+        assert shown('drive: 2 motions') == b'\x00'
+        assert '0 poses received' in client.value('calibration', 'last_failure')
+        for publisher, poses, (frame, child) in zip(
+                publishers, (poses_a, poses_b), (('map', 'lidar'), ('odom', 'camera')),
+                strict=True):
+            for stamp, pose in zip(stamps_ns[30:], poses[30:], strict=True):
+                publisher.publish(ros.to_message('Odometry', stamp, pose, frame, child))
+        assert shown('enough motion') == b'\x00'
+        assert client.call('calibrate').success
+        assert shown('calibrated') == b'\x00'
+        assert client.value('calibration', 'last_failure') == ''
+
+
+def test_a_reset_during_a_calibration_is_no_failure(tmp_path):
+    with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
+        client.publish_drive(*ros.drive(poses=2000))
+        pending = client.start_call('calibrate')
+        # Both requests are on their way before the solver can have answered.
+        reset = client.start_call('reset')
+        client.wait(lambda: pending.done() and reset.done(), 'both answers')
+        client.diagnostics.clear()
+        client.wait_for_poses(0, 0)
+        status = client.status('calibration')
+    assert not pending.result().success and pending.result().message == 'stopped by a reset'
+    assert (status.level, status.message[:5]) == (b'\x00', 'drive')
+    assert 'calibration failed' not in node.log
+
+
 def test_two_nodes_for_two_pairs_run_side_by_side(tmp_path):
     other = np.linalg.inv(ros.T_A_B)
     with (ros.running(tmp_path, *TAYLOR) as (_, one),
