@@ -86,7 +86,8 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
         assert client.set_parameter('allow_unobserved', value=True).successful
         allowed = client.call('calibrate')
         assert allowed.success, allowed.message
-        assert 'not observed' in allowed.message
+        assert '\n - not observed: z\n - ' in allowed.message
+        assert '\n - warning: ' in allowed.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     found = ros.matrix(extrinsic[0])
     assert np.allclose(found[:2, 3], ros.T_A_B[:2, 3], atol=1e-4)
@@ -378,10 +379,18 @@ def test_results_are_saved_and_restored(tmp_path):
         client.publish_drive(*ros.drive())
         answer = client.call('calibrate')
         again = client.call('save')
+        client.wait(lambda: client.value('calibration', 'extrinsic'), 'the diagnostics')
+        extrinsic_shown = client.value('calibration', 'extrinsic')
         node.stop()
     assert not too_early.success and 'nothing to save' in too_early.message
     first, second = sorted(folder.iterdir())
-    assert answer.success and answer.message.endswith(f'saved in {first}')
+    assert answer.success
+    # A line for each thing, apart even where `ros2 service call` prints a break as an escape.
+    lines = answer.message.split('\n - ')
+    assert [line.partition(':')[0] for line in lines] == [
+        'lidar -> camera', 'standard deviations', 'data', f'saved in {first}']
+    assert all(len(line) < 120 for line in lines[:-1])
+    assert extrinsic_shown == lines[0]
     assert again.success and again.message == f'saved in {second}'
     # What a power cut may leave must not keep the vehicle from its last good result.
     second.write_text(second.read_text()[:100])

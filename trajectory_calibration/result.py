@@ -235,8 +235,8 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         # permissions of any new file of this user.
         with temporary.open('x', encoding='utf-8') as stream:
             created = True
-            if not overwrite and os.path.lexists(path):
-                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+            if not overwrite:
+                _require_absent(path)
             stream.write(to_yaml(data))
             stream.flush()
             os.fsync(stream.fileno())
@@ -249,6 +249,11 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
     finally:
         if created:
             temporary.unlink(missing_ok=True)
+
+
+def _require_absent(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.answer import describe
+from trajectory_calibration.ros.answer import describe, deviations, headline
 from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
@@ -200,9 +200,8 @@ class CalibrationNode(Node):
             result = self._result = outcome.result
             self._last_failure, self._calibrated = '', True
             self._publisher.publish(result, outcome.overlay)
-            text = describe(result)
-            if self._store is not None:
-                text = f'{text}; {self._save(self._store, result)[1]}'
+            file = '' if self._store is None else self._save(self._store, result)[1]
+            text = describe(result, file)
             answer = True, text
             self.get_logger().info(text)
         if self._answer is not None:
@@ -283,7 +282,8 @@ class CalibrationNode(Node):
             'advice': advice,
             'last_failure': self._last_failure,
             **excitation_values(excitation),
-            **({} if result is None else {'extrinsic': describe(result)}),
+            **({} if result is None else {
+                'extrinsic': headline(result), 'standard_deviations': deviations(result)}),
         })
         return status
 
