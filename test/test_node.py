@@ -86,11 +86,50 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
         assert client.set_parameter('allow_unobserved', value=True).successful
         allowed = client.call('calibrate')
         assert allowed.success, allowed.message
-        assert 'not observed' in allowed.message
+        assert '\n - not observed: z\n - ' in allowed.message
+        assert '\n - warning: ' in allowed.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     found = ros.matrix(extrinsic[0])
     assert np.allclose(found[:2, 3], ros.T_A_B[:2, 3], atol=1e-4)
     assert np.allclose(found[:3, :3], ros.T_A_B[:3, :3], atol=1e-6)
+
+
+def test_advice_comes_through_again_once_there_is_more_motion_than_at_a_failure(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        def shown(begin):
+            client.wait(lambda: client.status('calibration').message.startswith(begin), begin)
+            return client.status('calibration').level
+        client.wait(lambda: client.status('calibration') is not None, 'the diagnostics')
+        assert not client.call('calibrate').success
+        assert shown('calibration failed: ') == b'\x01'
+        stamps_ns, poses_a, poses_b = ros.drive(poses=300)
+        publishers = client.publish_drive(stamps_ns[:30], poses_a[:30], poses_b[:30])
+        assert shown('drive: 2 motions') == b'\x00'
+        assert '0 poses received' in client.value('calibration', 'last_failure')
+        for publisher, poses, (frame, child) in zip(
+                publishers, (poses_a, poses_b), (('map', 'lidar'), ('odom', 'camera')),
+                strict=True):
+            for stamp, pose in zip(stamps_ns[30:], poses[30:], strict=True):
+                publisher.publish(ros.to_message('Odometry', stamp, pose, frame, child))
+        assert shown('enough motion') == b'\x00'
+        assert client.call('calibrate').success
+        assert shown('calibrated') == b'\x00'
+        assert client.value('calibration', 'last_failure') == ''
+
+
+def test_a_reset_during_a_calibration_is_no_failure(tmp_path):
+    with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
+        client.publish_drive(*ros.drive(poses=2000))
+        pending = client.start_call('calibrate')
+        # Both requests are on their way before the solver can have answered.
+        reset = client.start_call('reset')
+        client.wait(lambda: pending.done() and reset.done(), 'both answers')
+        client.diagnostics.clear()
+        client.wait_for_poses(0, 0)
+        status = client.status('calibration')
+    assert not pending.result().success and pending.result().message == 'stopped by a reset'
+    assert (status.level, status.message[:5]) == (b'\x00', 'drive')
+    assert 'calibration failed' not in node.log
 
 
 def test_two_nodes_for_two_pairs_run_side_by_side(tmp_path):
@@ -215,6 +254,34 @@ def test_bad_messages_are_counted_and_harmless(tmp_path):
         'out of order': '2', 'stray stamp': '1', 'other frame': '1'}
 
 
+@pytest.mark.parametrize('type_name', ['Odometry', 'PoseStamped', 'Path'])
+def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
+    with ros.running(tmp_path, *TAYLOR) as (node, client):
+        stamps_ns, poses_a, poses_b = ros.drive()
+        a = client.publisher('trajectory_a', type_name)
+        whole = ros.serialize_message(
+            ros.to_path(stamps_ns[:50], poses_a[:50]) if type_name == 'Path' else
+            ros.to_message(type_name, stamps_ns[0], poses_a[0], 'map', 'lidar'))
+        # In the encapsulation, the stamp, the frame, the pose.
+        damaged = [whole[:length] for length in (4, 9, 17, 21, 60)]
+        # A frame longer than the message, another byte order than said.
+        damaged.append(whole[:12] + b'\xff' * 4 + whole[16:])
+        damaged.append(b'\x00\x00' + whole[2:])
+        a.publish(whole)
+        for message in damaged:
+            a.publish(message)
+        client.wait(lambda: client.value('trajectory_a', 'refused: unreadable')
+                    == str(len(damaged)), 'the count')
+        client.wait(lambda: f'{len(damaged)} unreadable' in node.log, 'the log')
+        client.publish_drive(stamps_ns, poses_a, poses_b, types=(type_name, 'Odometry'))
+        answer = client.call('calibrate')
+        status, _ = node.stop()
+    assert answer.success, answer.message
+    assert f'{len(damaged)} unreadable' in answer.message
+    assert 'of 100 poses' in answer.message
+    assert (status, 'Traceback' in node.log) == (0, False), node.log
+
+
 def test_a_bag_that_loops_starts_anew(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive(poses=150)
@@ -312,10 +379,18 @@ def test_results_are_saved_and_restored(tmp_path):
         client.publish_drive(*ros.drive())
         answer = client.call('calibrate')
         again = client.call('save')
+        client.wait(lambda: client.value('calibration', 'extrinsic'), 'the diagnostics')
+        extrinsic_shown = client.value('calibration', 'extrinsic')
         node.stop()
     assert not too_early.success and 'nothing to save' in too_early.message
     first, second = sorted(folder.iterdir())
-    assert answer.success and answer.message.endswith(f'saved in {first}')
+    assert answer.success
+    # A line for each thing, apart even where `ros2 service call` prints a break as an escape.
+    lines = answer.message.split('\n - ')
+    assert [line.partition(':')[0] for line in lines] == [
+        'lidar -> camera', 'standard deviations', 'data', f'saved in {first}']
+    assert all(len(line) < 120 for line in lines[:-1])
+    assert extrinsic_shown == lines[0]
     assert again.success and again.message == f'saved in {second}'
     # What a power cut may leave must not keep the vehicle from its last good result.
     second.write_text(second.read_text()[:100])

@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from trajectory_calibration import se3, TrajectoryError
+from trajectory_calibration import CalibrationConfig, se3, TrajectoryError
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Refusal
+from trajectory_calibration.ros.session import CalibrationSession
 
 SECOND = 1_000_000_000
 
@@ -67,6 +68,10 @@ def test_old_poses_leave_by_age():
     ((0, 0, 0, 0, 0, 0, 0), Refusal.NOT_UNIT),
     ((0, 0, 0, 0, 0, 0, 1.02), Refusal.NOT_UNIT),
     ((0, 0, 0, 0, 0, 0, 1e100), Refusal.NOT_UNIT),
+    ((0, 0, 0, 0, 0, 0, 1e200), Refusal.NOT_UNIT),
+    ((1e100, 0, 0, 0, 0, 0, 1), Refusal.TOO_FAR),
+    ((0, -1.1e9, 0, 0, 0, 0, 1), Refusal.TOO_FAR),
+    ((1.5e308, 1.5e308, 0, 0, 0, 0, 1), Refusal.TOO_FAR),
 ])
 def test_poses_that_are_none_are_counted(pose, why):
     buffer = filled(10)
@@ -74,6 +79,28 @@ def test_poses_that_are_none_are_counted(pose, why):
     assert len(buffer) == 10
     assert buffer.refused[why] == sum(buffer.refused.values()) == 1
     assert why.value in buffer.refusals()
+    # In a Path the same, and none of them costs the poses around it.
+    good = np.column_stack([np.arange(10.0), np.zeros((10, 5)), np.ones(10)])
+    buffer.replace(np.arange(11) * SECOND, np.vstack([good, pose]), ('map', ''))
+    assert len(buffer) == 10
+    assert buffer.refused[why] == sum(buffer.refused.values()) == 1
+
+
+def test_a_huge_position_does_not_spoil_the_calibrations_that_follow():
+    rng = np.random.default_rng(4)
+    a = se3.exp_se3(np.cumsum(rng.normal(size=(60, 6)) * 0.1, axis=0))
+    T_a_b = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
+    session = CalibrationSession('/a', '/b', BufferLimits())
+    for buffer, poses, child in ((session.buffer_a, a, 'lidar'),
+                                 (session.buffer_b, a @ T_a_b, 'camera')):
+        rows = np.column_stack([
+            poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3])])
+        for k, row in enumerate(rows.tolist()):
+            buffer.append((1 + 2 * k) * SECOND // 10, ('map', child), row)
+            buffer.append((2 + 2 * k) * SECOND // 10, ('map', child), (1e120, *row[1:]))
+    result = session.job(CalibrationConfig(solver='taylor')).run().result
+    assert np.allclose(result.T_a_b, T_a_b, atol=1e-9)
+    assert any('60 too far away' in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize('offset_s, why', [

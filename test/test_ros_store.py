@@ -1,7 +1,9 @@
 """Saved results survive whatever happens to the process. Needs no ROS."""
 
+from dataclasses import replace
 import os
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -46,6 +48,65 @@ def test_every_result_gets_a_file_of_its_own_and_the_newest_is_found(tmp_path, r
 def test_nodes_that_share_a_folder_do_not_mix_their_results(tmp_path, result):
     ResultStore(str(tmp_path), '/front/node').save(result)
     assert ResultStore(str(tmp_path), '/rear/node').latest() is None
+
+
+def test_a_number_that_another_node_took_meanwhile_is_not_taken_again(
+        tmp_path, result, monkeypatch):
+    mine, twin = (ResultStore(str(tmp_path), '/node') for _ in range(2))
+    earlier = [twin.save(result) for _ in range(3)]
+    contents = [path.read_bytes() for path in earlier]
+    # What the folder held before the twin saved.
+    monkeypatch.setattr(ResultStore, '_files', lambda _: [])
+    assert mine.save(replace(result, frame_b='other')).name == 'node_000004.yaml'
+    assert [path.read_bytes() for path in earlier] == contents
+
+
+def test_what_a_power_cut_left_behind_is_in_nobodys_way(tmp_path, result):
+    (tmp_path / '.node_000001.yaml.new').write_text('half a res')
+    store = ResultStore(str(tmp_path), '/node')
+    path = store.save(result)
+    assert store.latest()[0] == path
+
+
+def test_nodes_of_one_name_that_save_at_once_lose_nothing(tmp_path, result):
+    code = (
+        'import sys\n'
+        'from trajectory_calibration import CalibrationResult\n'
+        'from trajectory_calibration.ros.store import ResultStore\n'
+        'result = CalibrationResult.load(sys.argv[1])\n'
+        'store = ResultStore(sys.argv[2], "/node")\n'
+        'input()\n'
+        'for _ in range(25):\n'
+        '    print(store.save(result))\n')
+    seed = tmp_path / 'seed.yaml'
+    result.save(seed)
+    folder = tmp_path / 'results'
+    processes = [subprocess.Popen(
+        [sys.executable, '-c', code, str(seed), str(folder)], text=True,
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(3)]
+    for process in processes:
+        process.stdin.write('\n')
+        process.stdin.flush()
+    saved = [line for process in processes for line in process.communicate()[0].split()]
+    assert len(saved) == len(set(saved)) == 75
+    assert sorted(saved) == sorted(map(str, folder.iterdir()))
+
+
+def test_saving_leaves_the_umask_of_the_process_alone_and_obeys_it(
+        tmp_path, result, monkeypatch):
+    previous = os.umask(0o027)
+    try:
+        with monkeypatch.context() as patch:
+            # It belongs to the whole process: other threads create files, too.
+            patch.delattr(os, 'umask')
+            result.save(tmp_path / 'saved.yaml')
+            result.save(tmp_path / 'saved.yaml')
+            numbered = ResultStore(str(tmp_path), '/node').save(result)
+    finally:
+        os.umask(previous)
+    for path in (tmp_path / 'saved.yaml', numbered):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_damaged_files_are_passed_over(tmp_path, result):

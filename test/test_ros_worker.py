@@ -1,5 +1,6 @@
 """The solver process: one job at a time, stopped when asked, nothing left behind. Needs no ROS."""
 
+import pickle
 import signal
 import subprocess
 import threading
@@ -8,9 +9,10 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import CalibrationConfig, se3, SolverError, TrajectoryError
+from trajectory_calibration.ros import worker
 from trajectory_calibration.ros.buffer import Track
 from trajectory_calibration.ros.session import Calibration, CalibrationJob
-from trajectory_calibration.ros.worker import SolverProcess
+from trajectory_calibration.ros.worker import SolverProcess, StoppedError
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 
@@ -98,7 +100,9 @@ def test_what_was_cancelled_stays_cancelled_even_when_it_has_just_been_solved():
     waiting.solver.start(job(), 60.0)
     assert waiting.news.wait(60)
     waiting.solver.cancel('stopped by a reset')
-    assert str(waiting.outcome()) == 'stopped by a reset'
+    outcome = waiting.outcome()
+    assert isinstance(outcome, StoppedError)
+    assert str(outcome) == 'stopped by a reset'
     waiting.solver.start(job(), 60.0)
     assert isinstance(waiting.outcome(), Calibration)
 
@@ -110,3 +114,53 @@ def test_cancelling_ends_the_process_at_once(started):
     assert str(waiting.outcome()) == 'stopped by a reset'
     waiting.solver.shutdown()
     assert all(process.returncode == -signal.SIGKILL for process in started)
+
+
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+@pytest.mark.parametrize('broken, sentence', [
+    (MemoryError(), 'not enough memory'),
+    (OSError(24, 'Too many open files'), 'could not be started'),
+    (ValueError('nobody foresaw this'), 'ended without an answer'),
+])
+def test_whatever_ends_the_waiting_is_an_answer_and_leaves_no_process(
+        started, monkeypatch, broken, sentence):
+    def fail(*_args, **_kwargs):
+        raise broken
+    waiting = Waiting()
+    with monkeypatch.context() as patch:
+        patch.setattr(subprocess.Popen, 'communicate', fail)
+        waiting.solver.start(job(), 60.0)
+        outcome = waiting.outcome()
+    assert isinstance(outcome, SolverError) and sentence in str(outcome)
+    assert [process.returncode for process in started] == [-signal.SIGKILL]
+    assert not waiting.solver.busy
+    waiting.solver.start(job(), 60.0)
+    assert isinstance(waiting.outcome(), Calibration)
+
+
+@pytest.mark.filterwarnings('ignore::pytest.PytestUnhandledThreadExceptionWarning')
+def test_a_job_that_cannot_be_sent_is_an_answer(started):
+    waiting = Waiting()
+    waiting.solver.start(lambda: None, 60.0)
+    assert 'ended without an answer' in str(waiting.outcome())
+    assert not started
+
+
+@pytest.mark.parametrize('reply', [b'', b'no pickle', pickle.dumps(1.0)[:-1]])
+def test_a_damaged_reply_is_an_answer(monkeypatch, reply):
+    monkeypatch.setattr(worker, '_BOOTSTRAP', f'import os; os.write(1, {reply!r})')
+    waiting = Waiting()
+    waiting.solver.start(job(), 60.0)
+    assert 'damaged' in str(waiting.outcome())
+
+
+def test_no_thread_left_is_an_answer(monkeypatch):
+    def refuse(_thread):
+        raise RuntimeError("can't start new thread")
+    waiting = Waiting()
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, 'start', refuse)
+        waiting.solver.start(job(), 60.0)
+    assert waiting.solver.busy
+    assert "can't start new thread" in str(waiting.outcome())
+    assert not waiting.solver.busy

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+import errno
 from io import StringIO
 import os
 from pathlib import Path
-import tempfile
+from secrets import token_hex
 from typing import Any
 
 import numpy as np
@@ -213,35 +214,46 @@ def to_yaml(data: dict[str, Any]) -> str:
     return stream.getvalue()
 
 
-def write_yaml(path: Path, data: dict[str, Any]) -> None:
+def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> None:
     """Write plain data as YAML through a temporary file in the same folder and a rename.
+
+    Without ``overwrite``, the name of the temporary file is a claim to ``path``: of several
+    processes one gets it. A claim that a power cut left behind stays, and so does the name.
 
     Raises
     ------
+    FileExistsError
+        Without ``overwrite``: the file exists, or another process is writing it.
     ResultError
         The file cannot be written.
 
     """
-    temporary = None
+    temporary = path.with_name(f'.{path.name}.{token_hex(8) if overwrite else "new"}')
+    created = False
     try:
-        with tempfile.NamedTemporaryFile(
-                'w', encoding='utf-8', dir=path.parent, prefix=f'.{path.name}.',
-                delete=False) as stream:
-            temporary = Path(stream.name)
+        # Not through ``tempfile``, whose files are private: the kernel gives this one the
+        # permissions of any new file of this user.
+        with temporary.open('x', encoding='utf-8') as stream:
+            created = True
+            if not overwrite:
+                _require_absent(path)
             stream.write(to_yaml(data))
             stream.flush()
             os.fsync(stream.fileno())
-        # mkstemp makes the file private; give it what any new file of this user gets.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
-        temporary = None
+        created = False
+    except FileExistsError:
+        raise
     except OSError as error:
         raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
     finally:
-        if temporary is not None:
+        if created:
             temporary.unlink(missing_ok=True)
+
+
+def _require_absent(path: Path) -> None:
+    if os.path.lexists(path):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:

@@ -10,30 +10,56 @@ from trajectory_calibration.result import CalibrationResult
 # A standard deviation beyond these stands for a direction of which nothing is known.
 _UNKNOWN_M, _UNKNOWN_DEG = 100.0, 90.0
 
+# Begins every line but the first. ``ros2 service call`` prints a line break as the two
+# characters \n; the dash keeps the lines apart there, too.
+_NEXT_LINE = '\n - '
 
-def describe(result: CalibrationResult) -> str:
-    """Return the extrinsic and how good it is in one line for a person."""
+
+def headline(result: CalibrationResult) -> str:
+    """Return the extrinsic in one line."""
     x, y, z = result.T_a_b[:3, 3]
     qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
-    parts = [
-        f'{result.frame_a} -> {result.frame_b}: translation [{x:.4f}, {y:.4f}, {z:.4f}] m',
-        f'rotation xyzw [{qx:.5f}, {qy:.5f}, {qz:.5f}, {qw:.5f}]',
-    ]
+    return (f'{result.frame_a} -> {result.frame_b}: translation [{x:.4f}, {y:.4f}, {z:.4f}] m, '
+            f'rotation xyzw [{qx:.5f}, {qy:.5f}, {qz:.5f}, {qw:.5f}]')
+
+
+def deviations(result: CalibrationResult) -> str:
+    """Return the standard deviations in one line, '' where the solver gave none."""
+    if result.covariance is None:
+        return ''
+    sigma = np.sqrt(np.diag(result.covariance))
+    metres = ', '.join(
+        f'{value:.4f}' if value < _UNKNOWN_M else 'unknown' for value in sigma[:3])
+    degrees = ', '.join(
+        f'{value:.3f}' if value < _UNKNOWN_DEG else 'unknown'
+        for value in np.rad2deg(sigma[3:]))
+    return f'[{metres}] m, about xyz [{degrees}] deg'
+
+
+def describe(result: CalibrationResult, file: str = '') -> str:
+    """Return the extrinsic and how good it is for a person, one thing a line.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        To describe.
+    file : str
+        A sentence about where it was saved; '' where it was not.
+
+    """
+    lines = [headline(result)]
     if result.covariance is not None:
-        sigma = np.sqrt(np.diag(result.covariance))
-        metres = ', '.join(
-            f'{value:.4f}' if value < _UNKNOWN_M else 'unknown' for value in sigma[:3])
-        degrees = ', '.join(
-            f'{value:.3f}' if value < _UNKNOWN_DEG else 'unknown'
-            for value in np.rad2deg(sigma[3:]))
-        parts.append(f'standard deviations [{metres}] m, [{degrees}] deg')
+        lines.append(f'standard deviations: {deviations(result)}')
+    if result.observability.unobserved:
+        lines.append(f'not observed: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
-        parts.append(f'scale of {result.frame_b} {result.scale:.5f}')
+        lines.append(f'scale of {result.frame_b}: {result.scale:.5f}')
     if result.time_offset_s:
-        parts.append(f'clock of {result.frame_b} {result.time_offset_s:+.4f} s')
-    parts.append(
-        f'{result.motions} motions of {result.poses} poses, e_rt {result.metrics.e_rt:.4f} m, '
-        f'e_rR {np.rad2deg(result.metrics.e_rR):.3f} deg')
-    if result.warnings:
-        parts.append(f'warnings: {" | ".join(result.warnings)}')
-    return '; '.join(parts)
+        lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s')
+    lines.append(
+        f'data: {result.motions} motions of {result.poses} poses, e_rt '
+        f'{result.metrics.e_rt:.4f} m, e_rR {np.rad2deg(result.metrics.e_rR):.3f} deg')
+    if file:
+        lines.append(file)
+    lines += [f'warning: {warning}' for warning in result.warnings]
+    return _NEXT_LINE.join(lines)

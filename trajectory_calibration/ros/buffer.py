@@ -19,6 +19,9 @@ from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
 JUMP_NS = 5_000_000_000
+# Largest position along an axis, metres: far beyond every map in metres on Earth, and small
+# enough that squares and differences keep their digits in all that follows.
+MAX_POSITION = 1e9
 # So many poses in a row must agree before a jump of the clock, or new frames, are believed.
 CONFIRMATIONS = 3
 
@@ -37,6 +40,7 @@ class Refusal(str, Enum):
 
     NOT_FINITE = 'not finite'
     NOT_UNIT = 'not a unit quaternion'
+    TOO_FAR = 'too far away'
     DUPLICATE = 'duplicate stamp'
     OUT_OF_ORDER = 'out of order'
     STRAY_STAMP = 'stray stamp'
@@ -185,20 +189,25 @@ class PoseBuffer:
         """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
 
         For a SLAM that publishes its optimised path again and again. The counts of refused
-        poses are those of this trajectory.
+        poses are those of this trajectory; that of unreadable messages goes on.
         """
         self._forget_poses(frames)
         self.messages += 1
         finite = np.isfinite(poses).all(axis=1)
-        norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
+        # The square of a huge number is infinite, which is no unit length either.
+        with np.errstate(over='ignore'):
+            norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
         unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
-        good = np.flatnonzero(finite & unit)
+        near = (np.abs(poses[:, :3]) <= MAX_POSITION).all(axis=1)
+        good = np.flatnonzero(finite & unit & near)
         order = good[np.argsort(stamps_ns[good], kind='stable')]
         first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
         kept = order[first][-self._limits.max_poses:]
-        self.refused = dict.fromkeys(Refusal, 0)
+        unreadable = self.refused[Refusal.UNREADABLE]
+        self.refused = dict.fromkeys(Refusal, 0) | {Refusal.UNREADABLE: unreadable}
         self.refused[Refusal.NOT_FINITE] = int(np.count_nonzero(~finite))
         self.refused[Refusal.NOT_UNIT] = int(np.count_nonzero(finite & ~unit))
+        self.refused[Refusal.TOO_FAR] = int(np.count_nonzero(finite & unit & ~near))
         self.refused[Refusal.DUPLICATE] = int(np.count_nonzero(~first))
         self._stamps, self._poses = stamps_ns[kept].astype(np.int64), poses[kept].astype(float)
         self._start, self._end = 0, len(kept)
@@ -306,6 +315,10 @@ def _fault(pose: PoseTuple) -> Refusal | None:
     x, y, z, qx, qy, qz, qw = pose
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
     # Written so that NaN fails.
-    if abs(norm - 1.0) <= ROTATION_TOLERANCE and math.isfinite(x + y + z):
+    unit = abs(norm - 1.0) <= ROTATION_TOLERANCE
+    if (unit and abs(x) <= MAX_POSITION and abs(y) <= MAX_POSITION
+            and abs(z) <= MAX_POSITION):
         return None
-    return Refusal.NOT_UNIT if math.isfinite(x + y + z + norm) else Refusal.NOT_FINITE
+    if not all(map(math.isfinite, pose)):
+        return Refusal.NOT_FINITE
+    return Refusal.TOO_FAR if unit else Refusal.NOT_UNIT

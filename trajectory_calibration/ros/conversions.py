@@ -49,20 +49,32 @@ class RosDeserialiser:
     """Reads messages with ROS itself: for byte orders and layouts that are not the usual one."""
 
     def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
-        """Return the pose of a message."""
-        value = deserialize_message(message, MESSAGE_TYPES[msgtype])
+        """Return the pose of a message, or None where it is damaged."""
+        value = _read(message, msgtype)
+        if value is None:
+            return None
         child = value.child_frame_id if msgtype == ODOMETRY else ''
         pose = value.pose if msgtype == POSE else value.pose.pose
         return StampedPose(
             _stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))
 
     def path(self, message: bytes) -> PathPoses | None:
-        """Return the poses of a Path."""
-        value = deserialize_message(message, Path)
+        """Return the poses of a Path, or None where it is damaged."""
+        value = _read(message, PATH)
+        if value is None:
+            return None
         stamps_ns = [_stamp_ns(item.header.stamp) for item in value.poses]
         poses = [_numbers(item.pose) for item in value.poses]
         return PathPoses(
             value.header.frame_id, np.array(stamps_ns, np.int64), np.array(poses).reshape(-1, 7))
+
+
+def _read(message: bytes, msgtype: str) -> Any:
+    try:
+        return deserialize_message(message, MESSAGE_TYPES[msgtype])
+    except RuntimeError:
+        # The RMWError of rclpy, which it keeps in a private module, is one.
+        return None
 
 
 def _stamp_ns(stamp: Time) -> int:

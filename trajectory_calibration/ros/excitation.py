@@ -119,8 +119,10 @@ class ExcitationMonitor:
         stamps_b, rows_b = stamps_b[:count], rows_b[:count]
         if not count:
             return
-        chosen = np.unique(np.searchsorted(
-            stamps_b, np.arange(stamps_b[0], stamps_b[-1] + 1, _STEP_NS)))
+        # The first pose of each second; the seconds themselves are not listed, for one wrong
+        # stamp in a Path can make them decades.
+        steps = (stamps_b - stamps_b[0]) // _STEP_NS
+        chosen = np.flatnonzero(np.diff(steps, prepend=-1))
         self._seen_ns = int(stamps_b[chosen[-1]]) + _STEP_NS - 1
         stamps_ns = stamps_b[chosen] + time_offset_ns
         bridged, poses_a = _poses_at(a, stamps_ns, max_gap_ns)

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.answer import describe
+from trajectory_calibration.ros.answer import describe, deviations, headline
 from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
@@ -36,7 +36,7 @@ from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
 from trajectory_calibration.ros.store import ResultStore
 from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
-from trajectory_calibration.ros.worker import SolverProcess
+from trajectory_calibration.ros.worker import SolverProcess, StoppedError
 
 NODE_NAME = 'trajectory_calibration'
 
@@ -45,7 +45,8 @@ _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
 
-# How much more motion there must be before a calibration that failed is tried again unasked.
+# How much more motion there must be before a calibration that failed says nothing about the
+# next one: its message leaves the diagnostics, and auto_calibrate tries again.
 _MORE_MOTION = 1.2
 
 
@@ -130,6 +131,7 @@ class CalibrationNode(Node):
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
+        self._motions_tried = self._observe(values)[0].motions
         job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
         self._solver.start(job, values['calibration_timeout'])
 
@@ -183,8 +185,14 @@ class CalibrationNode(Node):
 
     def _on_solved(self) -> None:
         """Publish what the solver found and answer the call that waits for it."""
+        if not self._solver.busy:
+            return
         outcome = self._solver.take_outcome()
-        if isinstance(outcome, CalibrationError):
+        if isinstance(outcome, StoppedError):
+            # Not a failure: whoever stopped it knows.
+            self.get_logger().info(f'calibration {outcome}')
+            answer = False, str(outcome)
+        elif isinstance(outcome, CalibrationError):
             self._last_failure = f'calibration failed: {outcome}'
             self.get_logger().warning(self._last_failure)
             answer = False, str(outcome)
@@ -192,9 +200,8 @@ class CalibrationNode(Node):
             result = self._result = outcome.result
             self._last_failure, self._calibrated = '', True
             self._publisher.publish(result, outcome.overlay)
-            text = describe(result)
-            if self._store is not None:
-                text = f'{text}; {self._save(self._store, result)[1]}'
+            file = '' if self._store is None else self._save(self._store, result)[1]
+            text = describe(result, file)
             answer = True, text
             self.get_logger().info(text)
         if self._answer is not None:
@@ -207,12 +214,7 @@ class CalibrationNode(Node):
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
         values = self._settings.values()
-        # A calibration of this run may have found the clock offset.
-        offset_s = (self._result.time_offset_s if self._calibrated and self._result is not None
-                    else values['time_offset'])
-        excitation = self._excitation.update(
-            self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
-            round(values['max_gap'] * 1e9))
+        excitation, offset_s = self._observe(values)
         statuses.append(self._calibration_status(values, excitation, offset_s))
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self.get_clock().now().to_msg()
@@ -226,15 +228,28 @@ class CalibrationNode(Node):
                     self._refusals_logged_s = now_s
                     self.get_logger().warning(f'{monitor.name}: {refusals}')
 
+    def _observe(self, values: Mapping[str, Any]) -> tuple[Excitation, float]:
+        """Return the motion so far, and the seconds added to the stamps of b for it."""
+        # A calibration of this run may have found the clock offset.
+        offset_s = (self._result.time_offset_s if self._calibrated and self._result is not None
+                    else values['time_offset'])
+        return self._excitation.update(
+            self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
+            round(values['max_gap'] * 1e9)), offset_s
+
+    def _has_moved_on(self, excitation: Excitation) -> bool:
+        """Return whether the data differ much from those of the last calibration."""
+        # Fewer motions are those of a buffer that started anew.
+        tried = self._motions_tried
+        return not tried <= excitation.motions <= _MORE_MOTION * tried
+
     def _calibrate_when_ready(
         self, values: Mapping[str, Any], excitation: Excitation,
     ) -> None:
         """Calibrate once since the start or the last reset; after a failure, with more motion."""
         limits = values['target_translation_std'], values['target_rotation_std']
-        if (not self._solver.busy and not self._calibrated
-                and excitation.motions > _MORE_MOTION * self._motions_tried
+        if (not self._solver.busy and not self._calibrated and self._has_moved_on(excitation)
                 and excitation.sufficient(*limits)):
-            self._motions_tried = excitation.motions
             self.get_logger().info(f'enough motion ({excitation.motions} s): calibrating')
             self._start_solver(values)
 
@@ -254,9 +269,9 @@ class CalibrationNode(Node):
             name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
         if self._solver.busy:
             status.message = 'calibrating'
-        elif self._last_failure:
+        elif self._last_failure and not self._has_moved_on(excitation):
             status.level, status.message = DiagnosticStatus.WARN, self._last_failure
-        elif result is not None:
+        elif result is not None and not self._last_failure:
             status.message = 'calibrated'
         else:
             status.message = advice
@@ -265,8 +280,10 @@ class CalibrationNode(Node):
             'overlap_s': f'{max(0.0, -apart_s):.3f}',
             'clock_offset_s': f'{offset_s:.4f}',
             'advice': advice,
+            'last_failure': self._last_failure,
             **excitation_values(excitation),
-            **({} if result is None else {'extrinsic': describe(result)}),
+            **({} if result is None else {
+                'extrinsic': headline(result), 'standard_deviations': deviations(result)}),
         })
         return status
 

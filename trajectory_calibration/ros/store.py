@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+import itertools
 import os
 from pathlib import Path
 import re
 
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.result import CalibrationResult, write_yaml
 
 
 class ResultStore:
@@ -52,9 +54,13 @@ class ResultStore:
             The file or the folder cannot be written; the earlier files are as they were.
 
         """
-        numbers = [number for number, _ in self._files()]
-        path = self._folder / f'{self._prefix}_{max(numbers, default=0) + 1:06d}.yaml'
-        result.save(path)
+        newest = max((number for number, _ in self._files()), default=0)
+        for number in itertools.count(newest + 1):
+            path = self._folder / f'{self._prefix}_{number:06d}.yaml'
+            # Another node of this name may take the same number at the same moment.
+            with suppress(FileExistsError):
+                write_yaml(path, result.to_dict(), overwrite=False)
+                break
         return path
 
     def latest(self) -> tuple[Path, CalibrationResult] | None:

@@ -34,13 +34,23 @@ sys.exit(main())
 """
 
 
+class StoppedError(SolverError):
+    """The calibration was stopped because somebody asked for it."""
+
+
+# What stands as the outcome until there is one.
+_UNFINISHED = SolverError(
+    'the calibration ended without an answer; the reason is in the log of the node')
+
+
 class SolverProcess:
     """Runs one calibration at a time.
 
     Parameters
     ----------
     done : callable
-        Called without arguments from another thread when ``outcome`` has been set.
+        Called without arguments, as a rule from another thread, when the outcome can be taken:
+        once for every ``start``, whatever happened.
 
     Attributes
     ----------
@@ -54,22 +64,24 @@ class SolverProcess:
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._cancelled: str | None = None
-        self._outcome: Outcome | None = None
-
-    @property
-    def busy(self) -> bool:
-        """Whether a calibration runs or waits for its outcome to be taken."""
-        return self._thread is not None
+        self._outcome: Outcome = _UNFINISHED
+        self.busy = False
 
     def start(self, job: CalibrationJob, timeout_s: float) -> None:
         """Start a calibration; the caller has checked that none is running."""
-        self._cancelled = None
-        self._thread = threading.Thread(
+        self.busy, self._cancelled, self._outcome = True, None, _UNFINISHED
+        thread = threading.Thread(
             target=self._run, args=(job, timeout_s), name='solver', daemon=True)
-        self._thread.start()
+        try:
+            thread.start()
+        except RuntimeError as error:
+            self._outcome = SolverError(f'the calibration could not be started: {error}')
+            self._done()
+            return
+        self._thread = thread
 
     def cancel(self, reason: str) -> None:
-        """Stop the running calibration, if any; its outcome is an error with that reason."""
+        """Stop the running calibration, if any; its outcome is a StoppedError."""
         with self._lock:
             self._cancelled = reason
             if self._process is not None:
@@ -77,16 +89,11 @@ class SolverProcess:
 
     def take_outcome(self) -> Outcome:
         """Return the outcome and be free for the next calibration; waits where it must."""
-        if self._thread is None:
-            raise SolverError('no calibration was started')
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
         outcome = self._outcome
-        self._thread = self._outcome = None
-        if self._cancelled is not None:
-            return SolverError(self._cancelled)
-        if outcome is None:
-            raise SolverError('the calibration ended without an outcome')
-        return outcome
+        self.busy, self._thread, self._outcome = False, None, _UNFINISHED
+        return outcome if self._cancelled is None else StoppedError(self._cancelled)
 
     def shutdown(self) -> None:
         """Stop whatever runs and wait for its end."""
@@ -95,36 +102,47 @@ class SolverProcess:
             self._thread.join()
 
     def _run(self, job: CalibrationJob, timeout_s: float) -> None:
+        # What is not foreseen here ends this thread with a traceback in the log. The node hears
+        # of the end all the same, or it would be busy for ever.
         try:
             self._outcome = self._solve(job, timeout_s)
         except OSError as error:
             self._outcome = SolverError(f'the solver process could not be started: {error}')
-        self._done()
+        except MemoryError:
+            self._outcome = SolverError(
+                'not enough memory to start the solver; lower max_poses, or free some')
+        finally:
+            self._done()
 
     def _solve(self, job: CalibrationJob, timeout_s: float) -> Outcome:
+        work = pickle.dumps(job, protocol=5)
         with self._lock:
             if self._cancelled is not None:
-                return SolverError(self._cancelled)
+                return StoppedError(self._cancelled)
             # A session of its own, so that Ctrl-C in a terminal reaches the node only.
             process = self._process = subprocess.Popen(
                 [sys.executable, '-c', _BOOTSTRAP, *sys.path],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
-        try:
-            reply, _ = process.communicate(pickle.dumps(job, protocol=5), timeout=timeout_s)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-            return SolverError(
-                f'no answer within {timeout_s:g} s, stopped; reset and record less, raise '
-                'calibration_timeout, or choose a faster solver')
-        finally:
-            with self._lock:
-                self._process = None
+        with process:
+            try:
+                reply, _ = process.communicate(work, timeout=timeout_s)
+            except subprocess.TimeoutExpired:
+                return SolverError(
+                    f'no answer within {timeout_s:g} s, stopped; reset and record less, raise '
+                    'calibration_timeout, or choose a faster solver')
+            finally:
+                # Does nothing to a process that has ended by itself.
+                process.kill()
+                with self._lock:
+                    self._process = None
         if process.returncode != 0:
             return SolverError(
                 f'the solver process ended with status {process.returncode}; its last words are '
                 'in the log of the node')
-        outcome: Outcome = pickle.loads(reply)
+        try:
+            outcome: Outcome = pickle.loads(reply)
+        except (pickle.UnpicklingError, EOFError) as error:
+            return SolverError(f'the answer of the solver process is damaged: {error}')
         return outcome
 
 
