@@ -2,6 +2,10 @@
 
 import itertools
 import json
+import os
+from pathlib import Path
+import subprocess
+import sys
 
 from motion_data import perturb, random_pose, sensor_pair, stamps, wander
 import numpy as np
@@ -282,6 +286,25 @@ def test_no_start_reaches_a_lower_cost_than_dnl():
         found = load_solver('dnl')(motions, CalibrationConfig()).cost
         starts = se3.exp_so3(np.random.default_rng(seed).normal(size=(300, 3)) * 2)
         assert found <= quadratic.minimise(G, starts).cost * (1 + 1e-9)
+
+
+@pytest.mark.parametrize('name', ['dnl', 'dnlo'])
+def test_threads_take_turns_at_ipopt(name):
+    """In a process of its own: where they do not, the interpreter aborts."""
+    code = (
+        'from concurrent.futures import ThreadPoolExecutor\n'
+        'from test_solvers import load_solver, noisy_motions, CalibrationConfig as Config\n'
+        'motions = [noisy_motions(seed, poses=150 + seed) for seed in range(4)]\n'
+        'def solve(m):\n'
+        f'    return load_solver({name!r})(m, Config()).T_a_b.tobytes()\n'
+        'with ThreadPoolExecutor(16) as pool:\n'
+        '    found = list(pool.map(solve, motions * 10))\n'
+        'assert found == [solve(m) for m in motions] * 10\n')
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=Path(__file__).parent, env={
+            **os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
+        capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
 
 
 # DNLO -----------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ truth (docs/solvers.md has the figures).
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -31,11 +31,11 @@ import numpy as np
 
 from trajectory_calibration import se3
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.dnl import symbolic_monomials
+from trajectory_calibration.solvers.dnl import run_ipopt, symbolic_monomials
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
 from trajectory_calibration.solvers.trimmed import Candidates, TrimmedCost, UPPER
@@ -136,24 +136,17 @@ def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
 def _minimise_with_ipopt(cost: TrimmedCost) -> tuple[Candidates, int]:
     """Minimise over extrinsic and weights together; return them and the iterations."""
     motions = len(cost.features)
-    solver = _program(motions)
-    found = solver(
+    x, value, iterations = run_ipopt(
+        partial(_program, motions), 'set dnlo_method to path',
         x0=np.concatenate([_PAPER_START, np.ones(motions)]),
         p=np.append(cost.features.ravel(order='F'), cost.c),
         lbx=np.concatenate([np.full(6, -np.inf), np.zeros(motions)]),
         ubx=np.concatenate([np.full(6, np.inf), np.ones(motions)]),
         lbg=cost.least, ubg=np.inf)
-    stats = solver.stats()
-    if not stats['success']:
-        raise SolverError(
-            f'Ipopt stopped with {stats["return_status"]} after {stats["iter_count"]} iterations; '
-            'set dnlo_method to path')
-    x = found['x'].full().ravel()
     T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]), x[3:6])
-    value = float(found['f']) + motions * cost.c
     # Ipopt may leave a bound by its relaxation, 1e-8.
     weights = np.clip(x[6:, None], 0.0, 1.0)
-    return Candidates(T_a_b[None], weights, np.array([value])), int(stats['iter_count'])
+    return Candidates(T_a_b[None], weights, np.array([value + motions * cost.c])), iterations
 
 
 @lru_cache(maxsize=8)
