@@ -354,6 +354,17 @@ def test_dnlo_keeps_at_least_the_asked_fraction():
         assert abs(kept - d * len(motions)) <= 1
 
 
+@pytest.mark.parametrize('method', ['auto', 'ipopt', 'path', 'alternating'])
+@pytest.mark.parametrize('allow_unobserved', [False, True])
+@pytest.mark.parametrize('c, d', [(1e-12, 0.0), (0.0, 0.0), (1e-12, 0.02), (0.0, 0.02)])
+def test_dnlo_that_keeps_no_motion_says_what_to_set(method, allow_unobserved, c, d):
+    motions = noisy_motions(5, sigma=0.005)
+    config = CalibrationConfig(dnlo_c=c, dnlo_min_inliers=d, dnlo_method=method,
+                               allow_unobserved=allow_unobserved)
+    with pytest.raises(MotionError, match=r'dnlo keeps [01] of 57 motions.* raise dnlo_c or dnlo'):
+        load_solver('dnlo')(motions, config)
+
+
 def test_dnlo_with_everything_kept_is_dnl():
     motions = noisy_motions(6, sigma=0.005)
     config = CalibrationConfig(dnlo_c=1e6)

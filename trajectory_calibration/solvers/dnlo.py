@@ -46,6 +46,9 @@ _IPOPT_MOTIONS = 500
 # A cost below this share of another is clearly lower.
 _CLEARLY_LOWER = 0.95
 
+# One motion leaves the axis of its turn open.
+_LEAST_KEPT = 2
+
 # Starts of the alternation: consecutive parts of the drive, each solved alone.
 _PARTS = 8
 
@@ -63,7 +66,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises
     ------
     MotionError
-        The motions that are kept leave a direction of the extrinsic free; the message names it.
+        Fewer than two motions are kept, or those that are leave a direction of the extrinsic
+        free; the message names it.
     SolverError
         Ipopt stopped before a minimum.
 
@@ -102,13 +106,20 @@ def _finish(
 ) -> Solution:
     """Test what the kept motions determine, then take the last digits from the residuals."""
     T_a_b, weights = best.T_a_b[0], best.weights[:, 0]
+    inliers = weights > 0.5
+    kept = int(np.count_nonzero(inliers))
+    if kept < _LEAST_KEPT:
+        raise MotionError(
+            f'dnlo keeps {kept} of {len(motions)} motions, needed at least {_LEAST_KEPT}: the '
+            f'squared residuals of the rest are above dnlo_c, {cost.c:g}; raise dnlo_c or '
+            'dnlo_min_inliers')
     G = cost.gram(weights[:, None])[0]
     quadratic.require_translation(G, int(np.count_nonzero(weights)))
     quadratic.require_rotation(G, T_a_b)
     return Solution(
         quadratic.polish(T_a_b, motions, weights=weights, held=cost.held),
         float(best.cost[0]), steps,
-        inliers=weights > 0.5, linearise=linear.frobenius)
+        inliers=inliers, linearise=linear.frobenius)
 
 
 def _clearly_lower(first: Candidates, second: Candidates) -> Candidates:
