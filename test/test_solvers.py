@@ -215,6 +215,51 @@ def test_an_unknown_solver_lists_the_known():
     assert set(PAPER) < set(SOLVER_NAMES)
 
 
+def stepping(rng, X, angles):
+    """Return two trajectories, slightly noisy, that turn by one of the angles in each step."""
+    body = [np.eye(4)]
+    for angle in angles:
+        axis = rng.normal(size=3)
+        body.append(body[-1] @ se3.from_rotation_translation(
+            se3.exp_so3(angle * axis / np.linalg.norm(axis)), 0.3 * rng.normal(size=3)))
+    a, b = sensor_pair(rng, X, body=np.array(body))
+    return perturb(rng, a, 1e-3, 1e-3), perturb(rng, b, 1e-3, 1e-3)
+
+
+@pytest.mark.parametrize('name', SEPARABLE)
+def test_half_turns_are_left_out(name):
+    """Noise flips their axis: with them the answer is 1 m and up to 180 degrees off."""
+    rng = np.random.default_rng(0)
+    angles = rng.choice([np.pi, 1.0], 200)
+    a, b = stepping(rng, CAMERA, angles)
+    solution = solve(name, a, b, 'B1')
+    found = absolute_errors(solution.T_a_b, CAMERA)
+    assert found.e_at < 0.005
+    assert found.e_aR < 0.005
+    np.testing.assert_array_equal(solution.inliers, angles < 3)
+    assert 'turn by more than 170 degrees, where noise flips' in solution.warnings[0]
+    covariance = calibrate(a, b, CalibrationConfig(solver=name, reference='B1')).covariance
+    assert np.sqrt(covariance.diagonal()).max() < 0.01
+
+
+@pytest.mark.parametrize('name', SEPARABLE)
+def test_nothing_but_half_turns_is_refused(name):
+    rng = np.random.default_rng(1)
+    a, b = stepping(rng, CAMERA, np.full(100, np.pi))
+    with pytest.raises(MotionError, match='100 of 100 motions turn by more than 170 degrees'):
+        solve(name, a, b, 'B1')
+    # The automatic reference finds one whose motions turn less.
+    found = calibrate(a, b, CalibrationConfig(solver=name)).absolute_errors(CAMERA)
+    assert found.e_at < 0.01
+
+
+def test_half_turns_from_the_first_pose_are_kept_as_published():
+    rng = np.random.default_rng(2)
+    solution = solve('park', *stepping(rng, CAMERA, np.full(100, 0.5)), 'A')
+    assert solution.inliers is None
+    assert 'they are kept, as published' in solution.warnings[0]
+
+
 # The quadratic form ---------------------------------------------------------------------------
 
 
