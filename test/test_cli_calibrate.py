@@ -8,6 +8,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from trajectory_calibration import CalibrationConfig, CalibrationResult, se3
+from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.report.text import format_result, roll_pitch_yaw_deg
 from trajectory_calibration.sources.files import read_transform
 
@@ -157,6 +158,44 @@ def test_every_setting_is_an_option_and_changes_the_configuration(files, capsys)
     given['association'] = 'nearest'
     assert (status, err) == (0, '')
     assert json.loads(out)['config'] == given
+
+
+@pytest.mark.parametrize('options', [
+    ('--prior-rotation', '-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-rotation=-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-translation', '-,-,-0.42', '--prior-translation-std', '1'),
+    ('--prior-translation', '-0.1, 0, 0', '--prior-translation-std', '5'),
+    ('--time-offset', '-1e-3')])
+def test_values_may_begin_with_a_minus(files, capsys, options):
+    a, b, _ = files
+    status, out, err = run(capsys, 'calibrate', *options, a, b, '--format', 'json', *SOLVER)
+    assert (status, err) == (0, '')
+    config = json.loads(out)['config']
+    given = options[0].partition('=')[2] or options[1]
+    assert given in (config['prior_rotation'], config['prior_translation'], '-1e-3')
+    assert config['time_offset'] == (-1e-3 if given == '-1e-3' else 0.0)
+
+
+@pytest.mark.parametrize('given, joined', [
+    (['x', '--a-b', '-1,2', 'y'], ['x', '--a-b=-1,2', 'y']),
+    (['--a', '-'], ['--a=-']),
+    (['--a', '-INF', '-5'], ['--a=-INF', '-5']),
+    (['--a=1', '-5'], ['--a=1', '-5']),
+    (['--a', '-h', '--b', '--c'], ['--a', '-h', '--b', '--c']),
+    (['--', '--a', '-1,2'], ['--', '--a', '-1,2'])])
+def test_negative_values_are_joined_to_their_option(given, joined):
+    assert join_negative_values(given) == joined
+
+
+@pytest.mark.parametrize('other', ['./a.txt', 'sub/../a.txt', 'link.txt'])
+def test_one_file_under_two_names_is_refused(files, tmp_path, monkeypatch, capsys, other):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'sub').mkdir()
+    (tmp_path / 'link.txt').symlink_to(files[0])
+    status, out, err = run(capsys, 'calibrate', 'a.txt', other, *SOLVER)
+    assert (status, out) == (2, '')
+    assert err == (
+        f'error: A and B, a.txt and {other}, are the same file; needed two sensors\n')
 
 
 def test_configuration_file_and_options_over_it(files, tmp_path, capsys):

@@ -66,8 +66,8 @@ def leave_out_half_turns(
     if len(motions) - count < 2:
         raise MotionError(
             f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
-            'axis that this solver compares; needed 2 that turn less: use a reference with '
-            'shorter motions, as B1, or solver dnl')
+            'axis that this solver compares; needed 2 that turn less: use another reference, as '
+            'auto, or solver dnl')
     found = (f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
              'axis')
     if motions.reference == 'A':
