@@ -8,6 +8,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from trajectory_calibration import CalibrationConfig, CalibrationResult, se3
+from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.report.text import format_result, roll_pitch_yaw_deg
 from trajectory_calibration.sources.files import read_transform
 
@@ -53,11 +54,13 @@ def test_text_shows_the_transform_and_the_warnings_first(files, tmp_path, capsys
         stream.write('1700000100 nan nan nan nan nan nan nan\n')
     status, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--ground-truth', truth)
     assert status == 0
-    lines = out.splitlines()
-    assert lines[0] == f'warning: sensor_a: {a}: 1 of 81 poses are not finite: dropped'
-    assert lines[2] == 'Pose of sensor_b in sensor_a'
-    assert lines[3].split() == ['translation', 'x', '0.3340', 'y', '-0.0050', 'z', '-0.0760', 'm']
-    words = dict(line.split(maxsplit=1) for line in lines[3:])
+    warning, _, screen = out.partition('\n\n')
+    assert ' '.join(warning.split()) == (
+        f'warning: sensor_a: {a}: 1 of 81 poses are not finite: dropped')
+    lines = screen.splitlines()
+    assert lines[0] == 'Pose of sensor_b in sensor_a'
+    assert lines[1].split() == ['translation', 'x', '0.3340', 'y', '-0.0050', 'z', '-0.0760', 'm']
+    words = dict(line.split(maxsplit=1) for line in lines[1:])
     roll, pitch, yaw = roll_pitch_yaw_deg(X[:3, :3])
     assert words['rotation'] == f'roll {roll:.3f}  pitch {pitch:.3f}  yaw {yaw:.3f} deg'
     assert '0.0000 m, 0.000 deg, against the ground truth' in words['absolute']
@@ -74,9 +77,31 @@ def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
     data['covariance'] = np.diag([0.01**2] * 3 + [np.deg2rad(0.2)**2] * 3).tolist()
     data['scale'] = 1.02
     text = format_result(CalibrationResult.from_dict(data))
-    assert 'x 0.0100  y 0.0100  z 0.0100 m, rotation about x 0.200  y 0.200  z 0.200 deg' in text
+    assert '  1 sigma along   x 0.0100  y 0.0100  z 0.0100 m\n' in text
+    assert '  1 sigma about   x 0.200  y 0.200  z 0.200 deg\n' in text
     assert '1.02000 on the translations of sensor_b' in text
     assert '0.1000 s on sensor_b' in text
+
+
+def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):
+    a, b, _ = files
+    run(capsys, 'calibrate', a, b, *SOLVER, '--output', tmp_path)
+    data = CalibrationResult.load(tmp_path / 'result.yaml').to_dict()
+    data['T_a_b'] = {'translation': [-1e-7, 0.0, -12.5], 'rotation_xyzw': [-1e-9, 0, 0, 1]}
+    data['time_offset_s'] = -1e-9
+    data['reference_choice'] = 'B5: predicted 4.2 cm; ' + 'B12 5.1 cm, ' * 10
+    data['warnings'] = ['the lidar saw ' + 'little of what there was, ' * 8, f'{"x" * 99} is long']
+    for status in data['observability']['status']:
+        data['observability']['status'][status] = 'unobserved'
+    lines = format_result(CalibrationResult.from_dict(data)).splitlines()
+    assert [line for line in lines if len(line) > 80] == [f'  {"x" * 99}']
+    text = '\n'.join(lines)
+    assert 'x 0.0000  y 0.0000  z -12.5000 m' in text
+    assert 'roll 0.000' in text
+    assert 'time offset     0.0000 s' in text
+    assert '  observed        none; unobserved: x, y, z, rotation x, rotation y,' in text
+    # What does not fit goes on under its column.
+    assert f'{"z":>19}' in lines
 
 
 @pytest.mark.parametrize('angles', [
@@ -157,6 +182,44 @@ def test_every_setting_is_an_option_and_changes_the_configuration(files, capsys)
     given['association'] = 'nearest'
     assert (status, err) == (0, '')
     assert json.loads(out)['config'] == given
+
+
+@pytest.mark.parametrize('options', [
+    ('--prior-rotation', '-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-rotation=-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-translation', '-,-,-0.42', '--prior-translation-std', '1'),
+    ('--prior-translation', '-0.1, 0, 0', '--prior-translation-std', '5'),
+    ('--time-offset', '-1e-3')])
+def test_values_may_begin_with_a_minus(files, capsys, options):
+    a, b, _ = files
+    status, out, err = run(capsys, 'calibrate', *options, a, b, '--format', 'json', *SOLVER)
+    assert (status, err) == (0, '')
+    config = json.loads(out)['config']
+    given = options[0].partition('=')[2] or options[1]
+    assert given in (config['prior_rotation'], config['prior_translation'], '-1e-3')
+    assert config['time_offset'] == (-1e-3 if given == '-1e-3' else 0.0)
+
+
+@pytest.mark.parametrize('given, joined', [
+    (['x', '--a-b', '-1,2', 'y'], ['x', '--a-b=-1,2', 'y']),
+    (['--a', '-'], ['--a=-']),
+    (['--a', '-INF', '-5'], ['--a=-INF', '-5']),
+    (['--a=1', '-5'], ['--a=1', '-5']),
+    (['--a', '-h', '--b', '--c'], ['--a', '-h', '--b', '--c']),
+    (['--', '--a', '-1,2'], ['--', '--a', '-1,2'])])
+def test_negative_values_are_joined_to_their_option(given, joined):
+    assert join_negative_values(given) == joined
+
+
+@pytest.mark.parametrize('other', ['./a.txt', 'sub/../a.txt', 'link.txt'])
+def test_one_file_under_two_names_is_refused(files, tmp_path, monkeypatch, capsys, other):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'sub').mkdir()
+    (tmp_path / 'link.txt').symlink_to(files[0])
+    status, out, err = run(capsys, 'calibrate', 'a.txt', other, *SOLVER)
+    assert (status, out) == (2, '')
+    assert err == (
+        f'error: A and B, a.txt and {other}, are the same file; needed two sensors\n')
 
 
 def test_configuration_file_and_options_over_it(files, tmp_path, capsys):

@@ -18,7 +18,10 @@ def test_a_file(tmp_path, capsys):
     assert (status, err) == (0, '')
     lines = out.splitlines()
     assert lines[0] == a
+    assert max(map(len, lines[1:])) <= 80
     words = dict(line.split(maxsplit=1) for line in lines[1:])
+    # No format of files carries names.
+    assert words['frames'] == 'not named in the file'
     assert words['poses'] == '80, 10.00 Hz, no gaps'
     assert words['time'] == '7.900 s from 1700000000.000'
     assert words['motion'].startswith('sufficient: ')
@@ -29,10 +32,18 @@ def test_planar_motion_is_said_in_words(tmp_path, capsys):
     status, out, _ = run(capsys, 'inspect', a)
     assert status == 0
     assert ('insufficient: it turned about z only: the translation along z will not be '
-            'determined; drive a ramp or a bank') in out
+            'determined; drive a ramp or a bank') in ' '.join(out.split())
+    assert max(map(len, out.splitlines()[1:])) <= 80
     # Sensor b is mounted askew: its axis has no name.
     _, out, _ = run(capsys, 'inspect', b)
     assert 'it turned about (' in out
+
+
+def test_a_file_names_no_frame_in_json(tmp_path, capsys):
+    a, _, _ = write_pair(tmp_path)
+    _, out, _ = run(capsys, 'inspect', a, '--format', 'json')
+    found = json.loads(out)['inputs'][0]['trajectories'][0]
+    assert (found['sensor_frame'], found['world_frame']) == (None, None)
 
 
 def test_json_of_a_bag(tmp_path, capsys):
@@ -80,7 +91,7 @@ def test_a_damaged_bag_is_inspected_with_a_warning(tmp_path, capsys):
     file.write_bytes(file.read_bytes()[:40000])
     status, out, _ = run(capsys, 'inspect', bag)
     assert status == 0
-    assert f'warning: {file} is damaged' in out
+    assert f'warning: {file} is damaged' in ' '.join(out.split())
     assert 'of 80 messages' in out
 
 

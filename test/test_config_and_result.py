@@ -16,6 +16,7 @@ from trajectory_calibration import (
     ResultError,
     Trajectory,
 )
+from trajectory_calibration.config import Option
 
 
 @pytest.fixture(scope='module')
@@ -58,6 +59,27 @@ def test_wrong_settings_are_refused_with_the_right_ones(values, message):
 
 def test_an_integer_serves_where_a_number_is_meant():
     assert CalibrationConfig(max_gap=2).max_gap == 2.0
+
+
+@pytest.mark.parametrize('value', [np.float64(0.25), np.float32(0.25), np.int64(1), 1])
+def test_numbers_of_numpy_serve_and_become_plain(value):
+    config = CalibrationConfig(max_gap=value)
+    assert type(config.max_gap) is float
+    assert config.max_gap == value
+    assert json.loads(json.dumps(config.to_dict()))['max_gap'] == value
+    assert type(Option('n', int, 1, 'a count').check(np.int32(3))) is int
+
+
+def test_a_word_of_numpy_becomes_plain():
+    assert type(CalibrationConfig(solver=np.str_('dnl')).solver) is str
+
+
+@pytest.mark.parametrize('value', [np.bool_(1), np.array([0.5]), 1j, 10**400])
+def test_what_is_no_number_is_refused(value):
+    with pytest.raises(ConfigError, match='max_gap is'):
+        CalibrationConfig(max_gap=value)
+    with pytest.raises(ConfigError, match=r'n is 1\.5, needed a value of type int'):
+        Option('n', int, 1, 'a count').check(1.5)
 
 
 def test_a_value_that_is_given_is_known():
@@ -179,6 +201,55 @@ def test_a_spoilt_result_is_refused(result, key, value):
     data = {**result.to_dict(), key: value}
     with pytest.raises(ResultError):
         CalibrationResult.from_dict(data)
+
+
+@pytest.mark.parametrize('quaternion, message', [
+    ([1, 1, 0, 0], 'norm is 1.41421'), ([0, 0, 0, 0], 'norm is 0'), ([0, 0, 0, 1.02], 'norm is'),
+    ([1e200] * 4, 'norm is inf'), ([0, 0, 1], 'needed'), ([0, 0, 0, float('nan')], 'finite')])
+def test_a_quaternion_that_is_no_rotation_is_refused(result, quaternion, message):
+    data = result.to_dict()
+    data['T_a_b']['rotation_xyzw'] = quaternion
+    with pytest.raises(ResultError, match=message):
+        CalibrationResult.from_dict(data)
+
+
+def test_a_quaternion_that_was_rounded_is_normalised(result):
+    data = result.to_dict()
+    data['T_a_b']['rotation_xyzw'] = [round(q, 4) for q in data['T_a_b']['rotation_xyzw']]
+    R = CalibrationResult.from_dict(data).T_a_b[:3, :3]
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(R, result.T_a_b[:3, :3], atol=1e-3)
+
+
+@pytest.mark.parametrize('ranges', ['0-{n}', '5-4', '-1-3', '3', '0-2,{n}-{n}'])
+def test_inliers_beyond_the_motions_are_refused(result, ranges):
+    data = {**result.to_dict(), 'inlier_motions': ranges.format(n=result.motions)}
+    with pytest.raises(ResultError, match='inlier'):
+        CalibrationResult.from_dict(data)
+
+
+@pytest.mark.parametrize('spoil, message', [
+    (lambda P: P[:5], 'needed'), (lambda P: P * np.nan, 'finite'),
+    (lambda P: P + np.eye(6, k=1), 'symmetric'), (lambda P: -P, 'variance')])
+def test_a_covariance_that_is_none_is_refused(result, spoil, message):
+    data = {**result.to_dict(), 'covariance': spoil(result.covariance).tolist()}
+    with pytest.raises(ResultError, match=message):
+        CalibrationResult.from_dict(data)
+
+
+def test_the_arrays_of_a_result_are_its_own_and_read_only(result):
+    T_a_b, covariance = result.T_a_b.copy(), np.eye(6)
+    mask = np.ones(result.motions, bool)
+    frozen = dataclasses.replace(result, T_a_b=T_a_b, covariance=covariance, inliers=mask)
+    T_a_b[0, 3] += 1
+    covariance[0, 0] = 9
+    mask[0] = False
+    np.testing.assert_array_equal(frozen.T_a_b, result.T_a_b)
+    np.testing.assert_array_equal(frozen.covariance, np.eye(6))
+    assert frozen.inliers.all()
+    for array in (frozen.T_a_b, frozen.covariance, frozen.inliers, result.T_a_b):
+        with pytest.raises(ValueError, match='read-only'):
+            array[0] = 0
 
 
 def test_missing_file(tmp_path):

@@ -61,7 +61,9 @@ def test_case_does_not_matter():
 
 
 @pytest.mark.parametrize('reference, advice', [
-    ('B100', 'use a smaller n or record longer'), ('C100', 'use a smaller n'), ('C1', 'use C2')])
+    ('B100', 'use a smaller n or record longer'), ('C100', 'use a smaller n'), ('C1', 'use C2'),
+    ('B99999999999999999999', 'reference B9+ leaves 0 motions of 100 poses'),
+    ('C99999999999999999999', 'reference C9+ leaves 0 motions of 100 poses')])
 def test_n_too_large_says_what_to_do(reference, advice):
     with pytest.raises(MotionError, match=advice):
         reference_indices(reference, 100)

@@ -2,6 +2,10 @@
 
 import itertools
 import json
+import os
+from pathlib import Path
+import subprocess
+import sys
 
 from motion_data import perturb, random_pose, sensor_pair, stamps, wander
 import numpy as np
@@ -211,6 +215,51 @@ def test_an_unknown_solver_lists_the_known():
     assert set(PAPER) < set(SOLVER_NAMES)
 
 
+def stepping(rng, X, angles):
+    """Return two trajectories, slightly noisy, that turn by one of the angles in each step."""
+    body = [np.eye(4)]
+    for angle in angles:
+        axis = rng.normal(size=3)
+        body.append(body[-1] @ se3.from_rotation_translation(
+            se3.exp_so3(angle * axis / np.linalg.norm(axis)), 0.3 * rng.normal(size=3)))
+    a, b = sensor_pair(rng, X, body=np.array(body))
+    return perturb(rng, a, 1e-3, 1e-3), perturb(rng, b, 1e-3, 1e-3)
+
+
+@pytest.mark.parametrize('name', SEPARABLE)
+def test_half_turns_are_left_out(name):
+    """Noise flips their axis: with them the answer is 1 m and up to 180 degrees off."""
+    rng = np.random.default_rng(0)
+    angles = rng.choice([np.pi, 1.0], 200)
+    a, b = stepping(rng, CAMERA, angles)
+    solution = solve(name, a, b, 'B1')
+    found = absolute_errors(solution.T_a_b, CAMERA)
+    assert found.e_at < 0.005
+    assert found.e_aR < 0.005
+    np.testing.assert_array_equal(solution.inliers, angles < 3)
+    assert 'turn by more than 170 degrees, where noise flips' in solution.warnings[0]
+    covariance = calibrate(a, b, CalibrationConfig(solver=name, reference='B1')).covariance
+    assert np.sqrt(covariance.diagonal()).max() < 0.01
+
+
+@pytest.mark.parametrize('name', SEPARABLE)
+def test_nothing_but_half_turns_is_refused(name):
+    rng = np.random.default_rng(1)
+    a, b = stepping(rng, CAMERA, np.full(100, np.pi))
+    with pytest.raises(MotionError, match='100 of 100 motions turn by more than 170 degrees'):
+        solve(name, a, b, 'B1')
+    # The automatic reference finds one whose motions turn less.
+    found = calibrate(a, b, CalibrationConfig(solver=name)).absolute_errors(CAMERA)
+    assert found.e_at < 0.01
+
+
+def test_half_turns_from_the_first_pose_are_kept_as_published():
+    rng = np.random.default_rng(2)
+    solution = solve('park', *stepping(rng, CAMERA, np.full(100, 0.5)), 'A')
+    assert solution.inliers is None
+    assert 'they are kept, as published' in solution.warnings[0]
+
+
 # The quadratic form ---------------------------------------------------------------------------
 
 
@@ -284,6 +333,25 @@ def test_no_start_reaches_a_lower_cost_than_dnl():
         assert found <= quadratic.minimise(G, starts).cost * (1 + 1e-9)
 
 
+@pytest.mark.parametrize('name', ['dnl', 'dnlo'])
+def test_threads_take_turns_at_ipopt(name):
+    """In a process of its own: where they do not, the interpreter aborts."""
+    code = (
+        'from concurrent.futures import ThreadPoolExecutor\n'
+        'from test_solvers import load_solver, noisy_motions, CalibrationConfig as Config\n'
+        'motions = [noisy_motions(seed, poses=150 + seed) for seed in range(4)]\n'
+        'def solve(m):\n'
+        f'    return load_solver({name!r})(m, Config()).T_a_b.tobytes()\n'
+        'with ThreadPoolExecutor(16) as pool:\n'
+        '    found = list(pool.map(solve, motions * 10))\n'
+        'assert found == [solve(m) for m in motions] * 10\n')
+    done = subprocess.run(
+        [sys.executable, '-c', code], cwd=Path(__file__).parent, env={
+            **os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
+        capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
 # DNLO -----------------------------------------------------------------------------------------
 
 
@@ -329,6 +397,17 @@ def test_dnlo_keeps_at_least_the_asked_fraction():
         config = CalibrationConfig(dnlo_c=0.0, dnlo_min_inliers=d, dnlo_method='path')
         kept = load_solver('dnlo')(motions, config).inliers.sum()
         assert abs(kept - d * len(motions)) <= 1
+
+
+@pytest.mark.parametrize('method', ['auto', 'ipopt', 'path', 'alternating'])
+@pytest.mark.parametrize('allow_unobserved', [False, True])
+@pytest.mark.parametrize('c, d', [(1e-12, 0.0), (0.0, 0.0), (1e-12, 0.02), (0.0, 0.02)])
+def test_dnlo_that_keeps_no_motion_says_what_to_set(method, allow_unobserved, c, d):
+    motions = noisy_motions(5, sigma=0.005)
+    config = CalibrationConfig(dnlo_c=c, dnlo_min_inliers=d, dnlo_method=method,
+                               allow_unobserved=allow_unobserved)
+    with pytest.raises(MotionError, match=r'dnlo keeps [01] of 57 motions.* raise dnlo_c or dnlo'):
+        load_solver('dnlo')(motions, config)
 
 
 def test_dnlo_with_everything_kept_is_dnl():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import se3, Trajectory, TrajectoryError
+from trajectory_calibration.trajectory import MAX_POSITION
 
 
 @pytest.fixture
@@ -66,6 +67,9 @@ def test_rounding_is_removed_without_a_word_and_more_with_one(poses):
     (lambda t, T: (t, T[:, :3]), r'shape \(10, 3, 4\)'),
     (lambda t, T: (t[:1], T[:1]), 'needed at least 2'),
     (lambda t, T: (t[:0], T[:0]), 'needed at least 2'),
+    (lambda t, T: (t, T.astype(complex)), 'poses are complex, needed real numbers'),
+    (lambda t, T: (t.astype(np.uint64) + np.uint64(2**63), T),
+     'stamp 9 is 1[0-9]* ns, needed less than 2\\^63'),
     (lambda t, T: (np.full_like(t, 5), T), '1 pose with a stamp of its own, needed at least 2'),
 ])
 def test_refuses_wrong_shapes(poses, spoil, message):
@@ -86,11 +90,65 @@ def test_refuses_what_is_not_a_pose(poses, row, column, value, message):
         Trajectory(stamps(10), poses)
 
 
+@pytest.mark.parametrize('position', [1.1e9, -1e12, 1e100, 1e300])
+def test_refuses_positions_that_no_map_holds(poses, position):
+    poses = poses.copy()
+    poses[4, 1, 3] = position
+    with pytest.raises(TrajectoryError, match=r'pose 4 lies .* needed at most 1e\+09 m; remove'):
+        Trajectory(stamps(10), poses)
+    with pytest.raises(TrajectoryError, match='pose 4 lies'):
+        Trajectory.from_quaternions(
+            stamps(10), poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3]))
+
+
+def test_positions_up_to_the_limit_and_unsigned_stamps_are_taken(poses):
+    poses = poses.copy()
+    poses[4, 1, 3] = -MAX_POSITION
+    t = stamps(10)
+    np.testing.assert_array_equal(Trajectory(t.astype(np.uint64), poses).stamps_ns, t)
+
+
+def test_stamps_that_are_further_apart_than_64_bits_hold_are_sorted(poses):
+    t = np.array([2**63 - 1, -2**63, 5])
+    np.testing.assert_array_equal(Trajectory(t, poses[:3]).stamps_ns, np.sort(t))
+
+
+# NumPy before 1.24 warns of rows of unequal length where later ones raise.
+@pytest.mark.filterwarnings('ignore:Creating an ndarray from ragged')
+@pytest.mark.parametrize('given, message', [
+    ([[[1, 2], [3]]] * 10, 'poses are no array of numbers .*needed one'),
+    ('abc', 'poses are no array of numbers'), (['1', '2'], r'shape \(2,\)'),
+    (None, 'poses have the shape|poses are no')])
+def test_refuses_poses_that_are_no_numbers(given, message):
+    with pytest.raises(TrajectoryError, match=message):
+        Trajectory(stamps(10), given)
+
+
+@pytest.mark.filterwarnings('ignore:Creating an ndarray from ragged')
+def test_refuses_positions_that_are_no_numbers(poses):
+    q = se3.rotation_to_quaternion(poses[:, :3, :3])
+    with pytest.raises(TrajectoryError, match='positions are no array of numbers'):
+        Trajectory.from_quaternions(stamps(2), [[1, 2, 3], [1]], q[:2])
+    with pytest.raises(TrajectoryError, match='stamps are'):
+        Trajectory([[1, 2], [3]], poses)
+    with pytest.raises(TrajectoryError, match='quaternions are complex'):
+        Trajectory.from_quaternions(stamps(10), poses[:, :3, 3], q * 1j)
+
+
 def test_refuses_reflections(poses):
     poses = poses.copy()
     poses[2, :3, 0] *= -1
     with pytest.raises(TrajectoryError, match='pose 2: the deviation from a rotation'):
         Trajectory(stamps(10), poses)
+
+
+def test_refuses_rotations_whose_squares_overflow(poses):
+    poses = poses.copy()
+    poses[2, :3, :3] = 1e200 * np.array([[1, 1, 0], [1, -1, 0], [0, 0, 1]])
+    with pytest.raises(TrajectoryError, match='pose 2: the deviation from a rotation'):
+        Trajectory(stamps(10), poses)
+    with pytest.raises(TrajectoryError, match='pose 0: the norm of the quaternion is inf'):
+        Trajectory.from_quaternions(stamps(2), np.zeros((2, 3)), np.full((2, 4), 1e200))
 
 
 def test_refuses_quaternions_that_are_none(poses):

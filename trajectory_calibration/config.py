@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from numbers import Integral, Real
 from typing import Any
 
 from trajectory_calibration.errors import ConfigError
@@ -40,9 +41,15 @@ class Option:
     choices: tuple[str, ...] = ()
 
     def check(self, value: Any) -> Any:
-        """Return the value in this option's type; raise ConfigError where it does not fit."""
-        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+        """Return the value in this option's type; raise ConfigError where it does not fit.
+
+        Numbers of NumPy, which registers its types as these, become Python's own.
+        """
+        number = {float: Real, int: Integral}.get(self.kind)
+        if number is not None and isinstance(value, number) and not isinstance(value, bool):
+            value = self._convert(value)
+        elif self.kind is str and isinstance(value, str):
+            value = str(value)
         if type(value) is not self.kind:
             raise ConfigError(
                 f'{self.name} is {value!r}, needed a value of type {self.kind.__name__}')
@@ -56,6 +63,12 @@ class Option:
             if not low <= value <= high:
                 raise ConfigError(f'{self.name} is {value}, needed {low:g} to {high:g}')
         return value
+
+    def _convert(self, number: Any) -> Any:
+        try:
+            return self.kind(number)
+        except OverflowError as error:
+            raise ConfigError(f'{self.name} is an integer of too many digits: {error}') from error
 
 
 def _option(default: Any, text: str, **limits: Any) -> Any:

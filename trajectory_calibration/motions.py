@@ -92,6 +92,8 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
 
     """
     letter, n = parse_reference(reference)
+    # An n of more digits than an index holds leaves as little as one of as many as the poses.
+    n = min(n, poses)
     if letter == 'A':
         j = np.arange(1, poses)
         i = np.zeros_like(j)

@@ -7,6 +7,7 @@ import errno
 from io import StringIO
 import os
 from pathlib import Path
+import re
 from secrets import token_hex
 from typing import Any
 
@@ -20,6 +21,7 @@ from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.metrics import absolute_errors, AbsoluteErrors, RelativeErrors
 from trajectory_calibration.observability import Observability
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.trajectory import ROTATION_TOLERANCE
 from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
@@ -76,6 +78,15 @@ class CalibrationResult:
     optimality_gap: float | None = None
     version: str = __version__
 
+    def __post_init__(self) -> None:
+        # Copies of its own: what is frozen must not change through an array of the caller's.
+        for name in ('T_a_b', 'covariance', 'inliers'):
+            array = getattr(self, name)
+            if array is not None:
+                array = np.array(array)
+                array.setflags(write=False)
+                object.__setattr__(self, name, array)
+
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
         """Return e_at (m) and e_aR (rad) against a known (4, 4) extrinsic."""
         return absolute_errors(self.T_a_b, np.asarray(T_a_b_true, dtype=np.float64))
@@ -124,7 +135,8 @@ class CalibrationResult:
         Raises
         ------
         ResultError
-            Keys missing, of the wrong kind, or of a newer format.
+            Keys missing, of the wrong kind, or of a newer format; numbers that are no rotation
+            or no covariance.
 
         """
         try:
@@ -134,14 +146,14 @@ class CalibrationResult:
                     f'{FORMAT_VERSION}; install the version that wrote it '
                     f'({data.get("package_version")})')
             pose = data['T_a_b']
-            rotation = se3.quaternion_to_rotation(_finite(pose['rotation_xyzw'], (4,)))
+            rotation = se3.quaternion_to_rotation(_unit(pose['rotation_xyzw']))
             covariance = data['covariance']
             ranges = data['inlier_motions']
             return cls(
                 frame_a=str(data['frame_a']),
                 frame_b=str(data['frame_b']),
                 T_a_b=se3.from_rotation_translation(rotation, _finite(pose['translation'], (3,))),
-                covariance=None if covariance is None else _finite(covariance, (6, 6)),
+                covariance=None if covariance is None else _covariance(covariance),
                 metrics=RelativeErrors(
                     float(data['e_rt_m']), float(np.deg2rad(data['e_rR_deg']))),
                 poses=int(data['poses']),
@@ -263,6 +275,30 @@ def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
     return array
 
 
+def _unit(quaternion_xyzw: Any) -> FloatArray:
+    """Return the (4,) quaternion with the rounding of its digits removed."""
+    q = _finite(quaternion_xyzw, (4,))
+    with np.errstate(over='ignore'):
+        norm = float(np.linalg.norm(q))
+    if not abs(norm - 1) <= ROTATION_TOLERANCE:
+        raise ResultError(
+            f'rotation_xyzw is no rotation: its norm is {norm:.6g}, off 1 by more than '
+            f'{ROTATION_TOLERANCE}; restore the file as it was saved')
+    unit: FloatArray = q / norm
+    return unit
+
+
+def _covariance(values: Any) -> FloatArray:
+    P = _finite(values, (6, 6))
+    # What rounding leaves of a variance of zero, or of a symmetric sum.
+    rounding = 1e-9 * np.abs(P).max()
+    if (np.diagonal(P) < -rounding).any():
+        raise ResultError('covariance has a negative variance; restore the file as it was saved')
+    if np.abs(P - P.T).max() > rounding:
+        raise ResultError('covariance is not symmetric; restore the file as it was saved')
+    return P
+
+
 def _ranges(mask: NDArray[np.bool_]) -> str:
     """Write a mask as the ranges that are set, '0-34,37-99': one line for a million motions."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
@@ -272,6 +308,9 @@ def _ranges(mask: NDArray[np.bool_]) -> str:
 def _mask(ranges: str, length: int) -> NDArray[np.bool_]:
     mask = np.zeros(length, dtype=bool)
     for part in filter(None, ranges.split(',')):
-        start, end = map(int, part.split('-'))
+        found = re.fullmatch(r'(\d+)-(\d+)', part)
+        start, end = (int(found[1]), int(found[2])) if found else (1, 0)
+        if not start <= end < length:
+            raise ValueError(f'inlier_motions has {part!r}, needed ranges within 0-{length - 1}')
         mask[start:end + 1] = True
     return mask

@@ -17,6 +17,10 @@ from trajectory_calibration.se3 import FloatArray
 ROUNDING_TOLERANCE = 1e-5
 ROTATION_TOLERANCE = 1e-2
 
+# Largest position along an axis, metres: far beyond every map in metres on Earth, and small
+# enough that squares and differences keep their digits in all that follows.
+MAX_POSITION = 1e9
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -37,8 +41,8 @@ class Trajectory:
     Raises
     ------
     TrajectoryError
-        Wrong shapes, fewer than two poses, numbers that are not finite, matrices that are not
-        rigid motions.
+        Wrong shapes, fewer than two poses, numbers that are not finite or beyond
+        ``MAX_POSITION``, matrices that are not rigid motions.
 
     """
 
@@ -50,7 +54,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         stamps_ns, stamp_order, notes = _checked_stamps(self.stamps_ns)
-        poses = np.array(self.poses, dtype=np.float64)
+        poses = _real_numbers(self.poses, 'poses', 'one (4, 4) matrix per stamp')
         if poses.shape != (len(stamps_ns), 4, 4):
             raise TrajectoryError(
                 f'poses have the shape {poses.shape}, needed ({len(stamps_ns)}, 4, 4) to match '
@@ -87,14 +91,15 @@ class Trajectory:
             As the class, and for quaternions whose norm is off 1 by more than 0.01.
 
         """
-        p = np.asarray(positions, dtype=np.float64)
-        q = np.asarray(quaternions_xyzw, dtype=np.float64)
+        p = _real_numbers(positions, 'positions', 'one row x, y, z per stamp')
+        q = _real_numbers(quaternions_xyzw, 'quaternions', 'one row x, y, z, w per stamp')
         if p.ndim != 2 or p.shape[1] != 3 or q.shape != (len(p), 4):
             raise TrajectoryError(
                 f'positions have the shape {p.shape} and quaternions {q.shape}, needed (N, 3) '
                 'and (N, 4)')
         _require_finite(np.concatenate([p, q], axis=1))
-        norm = np.linalg.norm(q, axis=1)
+        with np.errstate(over='ignore'):
+            norm = np.linalg.norm(q, axis=1)
         note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
         if note:
             warnings = (*warnings, f'{sensor_frame}: {note}')
@@ -127,28 +132,52 @@ class Trajectory:
     @property
     def duration_s(self) -> float:
         """Seconds from the first pose to the last."""
-        return float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9
+        return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
+
+
+def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
+    """Return a new float64 array; raise TrajectoryError for rows of unequal length or words."""
+    try:
+        array = np.asarray(values)
+        if np.iscomplexobj(array):
+            raise TrajectoryError(f'{what} are complex, needed real numbers: {needed}')
+        return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, TrajectoryError):
+            raise
+        raise TrajectoryError(
+            f'{what} are no array of numbers ({error}), needed {needed}') from error
 
 
 def _checked_stamps(
     stamps: ArrayLike,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, list[str]]:
     """Return the stamps, the order that sorts them and drops duplicates (or None), and notes."""
-    array = np.asarray(stamps)
+    try:
+        array = np.asarray(stamps)
+    except ValueError as error:
+        raise TrajectoryError(
+            f'stamps are no array of numbers ({error}), needed one integer per pose') from error
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
         raise TrajectoryError(
             f'stamps are {array.dtype} of shape {array.shape}, needed one-dimensional integer '
             'nanoseconds; multiply seconds by 1e9 and round')
+    if array.dtype == np.uint64 and array.max(initial=0) > np.iinfo(np.int64).max:
+        raise TrajectoryError(
+            f'stamp {int(np.argmax(array))} is {array.max()} ns, needed less than 2^63, the year '
+            '2262; is the unit nanoseconds?')
     stamps_ns = np.array(array, dtype=np.int64)
-    steps = np.diff(stamps_ns)
-    if np.all(steps > 0):
+    # Compared, not subtracted: the difference of two stamps far apart overflows.
+    later, earlier = stamps_ns[1:], stamps_ns[:-1]
+    if np.all(later > earlier):
         return stamps_ns, None, []
     notes = []
-    backwards = int(np.count_nonzero(steps < 0))
+    backwards = int(np.count_nonzero(later < earlier))
     if backwards:
         notes.append(f'time ran backwards {backwards} times; the poses were sorted by stamp')
     order = np.argsort(stamps_ns, kind='stable')
-    first = np.concatenate([[True], np.diff(stamps_ns[order]) > 0])
+    ordered = stamps_ns[order]
+    first = np.concatenate([[True], ordered[1:] > ordered[:-1]])
     duplicates = int(np.count_nonzero(~first))
     if duplicates:
         notes.append(f'{duplicates} poses repeat the stamp of another and were dropped')
@@ -158,11 +187,20 @@ def _checked_stamps(
 def _repair_rotations(poses: FloatArray) -> list[str]:
     """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
     _require_finite(poses.reshape(len(poses), 16))
+    far = np.abs(poses[:, :3, 3]).max(axis=1, initial=0.0)
+    if far.max(initial=0.0) > MAX_POSITION:
+        k = int(np.argmax(far > MAX_POSITION))
+        raise TrajectoryError(
+            f'pose {k} lies {far[k]:.3g} m from the origin along an axis, needed at most '
+            f'{MAX_POSITION:.0e} m; remove what the SLAM wrote while it was lost, or is the unit '
+            'metres?')
     if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
         raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
     R = poses[:, :3, :3]
-    deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    deviation = np.where(np.linalg.det(R) > 0, deviation, np.inf)
+    # Squares of numbers that are far from a rotation's overflow; the judge refuses what they give.
+    with np.errstate(over='ignore', invalid='ignore'):
+        deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        deviation = np.where(np.linalg.det(R) > 0, deviation, np.inf)
     note = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
     if deviation.max(initial=0.0) > 1e-14:
         poses[:, :3, :3] = se3.nearest_rotation(R)
@@ -184,7 +222,8 @@ def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str
         return None
     k = int(np.argmax(deviation))
     worst = float(deviation[k])
-    if worst > ROTATION_TOLERANCE:
+    # Written so that NaN fails.
+    if not worst <= ROTATION_TOLERANCE:
         raise TrajectoryError(
             f'pose {k}: {what} is {shown[k]:.6g}, off by more than {ROTATION_TOLERANCE}; is the '
             'order x, y, z, w (not w first), and are the columns the right ones?')

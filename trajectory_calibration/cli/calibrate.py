@@ -73,11 +73,22 @@ def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
         raise ConfigError(f'A and B are both {arguments.a}; needed two sensors')
     if arguments.bag:
         return _load_topics(arguments)
+    if _same_file(arguments.a, arguments.b):
+        raise ConfigError(
+            f'A and B, {arguments.a} and {arguments.b}, are the same file; needed two sensors')
     return (
         FileSource(Path(arguments.a), arguments.format_a, arguments.times_a,
                    arguments.frame_a or 'sensor_a').load(),
         FileSource(Path(arguments.b), arguments.format_b, arguments.times_b,
                    arguments.frame_b or 'sensor_b').load())
+
+
+def _same_file(a: str, b: str) -> bool:
+    try:
+        return Path(a).samefile(b)
+    except OSError:
+        # Reading it says what is wrong.
+        return False
 
 
 def _load_topics(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:

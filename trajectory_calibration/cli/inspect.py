@@ -46,9 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
-    trajectory = FileSource(path, file_format, times).load()
-    found = inspect_trajectory(trajectory, str(path), 'file')
-    return {'path': str(path), 'notes': [], 'trajectories': [found.to_dict()], 'other': []}
+    trajectory = FileSource(path, file_format, times, path.name).load()
+    # No format of files names its frames.
+    found = {**inspect_trajectory(trajectory, str(path), 'file').to_dict(),
+             'sensor_frame': None, 'world_frame': None}
+    return {'path': str(path), 'notes': [], 'trajectories': [found], 'other': []}
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import os
 import sys
 
 from trajectory_calibration.cli import benchmark, calibrate, inspect, replay, simulate
+from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError
 from trajectory_calibration.version import __version__
 
@@ -37,7 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     """
     try:
-        arguments = _parser().parse_args(argv)
+        arguments = _parser().parse_args(
+            join_negative_values(sys.argv[1:] if argv is None else argv))
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
     try:

@@ -3,11 +3,33 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+import re
 from typing import Any
 
 from trajectory_calibration.config import CalibrationConfig, Option
 from trajectory_calibration.errors import ConfigError
+
+# What begins like an option and is none: -90,0,-90; -,-,0.42; -1e-3; -inf. No option of ours does.
+_NEGATIVE = re.compile(r'-([\d.,\s].*|inf|nan)?', re.DOTALL | re.IGNORECASE)
+
+
+def join_negative_values(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with '--name -90,0,-90' as '--name=-90,0,-90'.
+
+    argparse takes a value that begins with a minus and is no plain number for an option.
+    """
+    joined: list[str] = []
+    for k, argument in enumerate(arguments):
+        if argument == '--':
+            return joined + list(arguments[k:])
+        names = joined and re.fullmatch(r'--[a-z][a-z-]*', joined[-1])
+        if names and _NEGATIVE.fullmatch(argument):
+            joined[-1] += f'={argument}'
+        else:
+            joined.append(argument)
+    return joined
 
 
 def add_config_options(parser: argparse.ArgumentParser) -> None:

@@ -45,6 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     from trajectory_calibration.sources.bags import open_bags
     values = check_values(_read_parameters(arguments.params_file, arguments.param))
     topic_a, topic_b = (f'/{values[name].lstrip("/")}' for name in ('topic_a', 'topic_b'))
+    if topic_a == topic_b:
+        raise ConfigError(f'topic_a and topic_b are both {topic_a}; needed two sensors')
     with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
         tracks = reader.read([topic_a, topic_b], progress)
     session = CalibrationSession(topic_a, topic_b, to_limits(values))

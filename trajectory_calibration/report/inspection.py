@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration import se3
-from trajectory_calibration.observability import translation_gain
+from trajectory_calibration.observability import axis_name, translation_gain
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 
@@ -112,7 +112,7 @@ def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:
     """Return a word and a sentence; ``gain`` ascends, ``axes`` are its rows."""
     # Rotations about one axis leave a shift along it unseen: the weakest direction of the shift
     # is the axis of the turns.
-    axis = _axis_name(axes[0])
+    axis = axis_name(axes[0])
     if gain[1] < _NOTHING:
         return 'insufficient', (
             'it hardly turned: neither the rotation nor the translation can be determined; drive '
@@ -126,11 +126,3 @@ def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:
             f'it turned mostly about {axis}: the translation along {axis} will be uncertain; '
             'drive steeper ramps or banks, or longer')
     return 'sufficient', 'it turned about enough axes to determine rotation and translation'
-
-
-def _axis_name(axis: FloatArray) -> str:
-    largest = int(np.argmax(np.abs(axis)))
-    # Within 18 degrees, the name says more than the numbers.
-    if abs(axis[largest]) > np.cos(np.pi / 10):
-        return 'xyz'[largest]
-    return f'({", ".join(f"{value:.2f}" for value in axis)})'

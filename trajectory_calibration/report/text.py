@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,10 @@ from trajectory_calibration import se3
 from trajectory_calibration.observability import Observability, OBSERVED
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.se3 import FloatArray
+
+# Columns of a terminal, and of them the most that a label takes: a longer one has its own line.
+_WIDTH = 80
+_LONGEST_LABEL = 30
 
 
 def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = None) -> str:
@@ -23,9 +28,9 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         'rotation': f'{_named(roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
     }
     if result.covariance is not None:
-        sigma = np.sqrt(np.diagonal(result.covariance))
-        rows['1 sigma'] = (f'{_named(sigma[:3], "xyz", 4)} m, rotation about '
-                           f'{_named(np.rad2deg(sigma[3:]), "xyz", 3)} deg')
+        sigma = np.sqrt(np.maximum(np.diagonal(result.covariance), 0.0))
+        rows['1 sigma along'] = f'{_named(sigma[:3], "xyz", 4)} m'
+        rows['1 sigma about'] = f'{_named(np.rad2deg(sigma[3:]), "xyz", 3)} deg'
     rows['observed'] = _describe_status(result.observability)
     reference = result.reference or result.config.reference
     rows['relative error'] = (
@@ -36,16 +41,16 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         rows['absolute error'] = (f'{error.e_at:.4f} m, {np.rad2deg(error.e_aR):.3f} deg, '
                                   'against the ground truth')
     rows['turned about'] = (
-        f'{_named(result.observability.excitation_deg, "xyz", 2)} deg, axes of {a}, root mean '
-        'square per motion')
+        f'{_named(result.observability.excitation_deg, "xyz", 2)} deg rms per motion, axes of {a}')
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
         rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
     if result.time_offset_s:
-        rows['time offset'] = f'{result.time_offset_s:.4f} s on {b}'
+        rows['time offset'] = f'{_fixed(result.time_offset_s, 4)} s on {b}'
     rows['method'] = f'{result.config.solver}, version {result.version}'
     rows['reference'] = result.reference_choice or reference
-    lines = [f'warning: {warning}' for warning in result.warnings]
+    lines = [line for warning in result.warnings
+             for line in _wrapped(f'warning: {warning}', '', '  ')]
     if lines:
         lines.append('')
     lines.append(f'Pose of {b} in {a}')
@@ -55,7 +60,7 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
 
 def format_inspection(found: dict[str, Any]) -> str:
     """Return the screen of what was found in one file or bag."""
-    lines = [found['path'], *(f'  warning: {note}' for note in found['notes'])]
+    lines = [found['path'], *_warnings(found['notes'])]
     for item in found['trajectories']:
         # A file is its trajectory; a bag holds several.
         if item['name'] != found['path']:
@@ -66,13 +71,14 @@ def format_inspection(found: dict[str, Any]) -> str:
             read = f' in the last of {messages} messages'
         gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
                 else 'no gaps')
-        lines += [f'  warning: {warning}' for warning in item['warnings']]
+        lines += _warnings(item['warnings'])
         lines += _aligned({
-            'frames': f'{item["sensor_frame"]} in {item["world_frame"]}',
+            'frames': ('not named in the file' if item['sensor_frame'] is None
+                       else f'{item["sensor_frame"]} in {item["world_frame"]}'),
             'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
             'time': f'{item["duration_s"]:.3f} s from {item["start_s"]:.3f}',
             'path': f'{item["path_length_m"]:.2f} m',
-            'turned about': f'{_named(item["turned_deg"], "xyz", 2)} deg, root mean square in 2 s',
+            'turned about': f'{_named(item["turned_deg"], "xyz", 2)} deg rms in 2 s',
             'motion': f'{item["motion"]}: {item["advice"]}',
         })
     if found['other']:
@@ -116,9 +122,33 @@ def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
 
 def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
     return '  '.join(
-        f'{name} {value:.{digits}f}' for name, value in zip(names, values, strict=True))
+        f'{name} {_fixed(value, digits)}' for name, value in zip(names, values, strict=True))
+
+
+def _fixed(value: float, digits: int) -> str:
+    """Return a number with so many decimals, and no minus before a zero."""
+    return f'{round(float(value), digits) + 0.0:.{digits}f}'
+
+
+def _warnings(warnings: Iterable[str]) -> list[str]:
+    return [line for warning in warnings
+            for line in _wrapped(f'warning: {warning}', '  ', '    ')]
+
+
+def _wrapped(text: str, first: str, rest: str) -> list[str]:
+    """Break a text into lines of the width of a terminal, paths and names left whole."""
+    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=rest,
+                         break_long_words=False, break_on_hyphens=False)
 
 
 def _aligned(rows: dict[str, str]) -> list[str]:
-    width = max(map(len, rows))
-    return [f'  {name:<{width}}  {value}' for name, value in rows.items()]
+    """Return labels and values in two columns, long values broken under their own column."""
+    width = min(max(map(len, rows)), _LONGEST_LABEL)
+    lines = []
+    for name, value in rows.items():
+        head = f'  {name:<{width}}  '
+        if len(name) > width:
+            lines.append(head.rstrip())
+            head = ' ' * (width + 4)
+        lines += _wrapped(value, head, ' ' * (width + 4))
+    return lines

@@ -14,14 +14,11 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.errors import TrajectoryError
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
+from trajectory_calibration.trajectory import MAX_POSITION, ROTATION_TOLERANCE, Trajectory
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
 JUMP_NS = 5_000_000_000
-# Largest position along an axis, metres: far beyond every map in metres on Earth, and small
-# enough that squares and differences keep their digits in all that follows.
-MAX_POSITION = 1e9
 # So many poses in a row must agree before a jump of the clock, or new frames, are believed.
 CONFIRMATIONS = 3
 

@@ -11,8 +11,10 @@ the Frobenius norm of the upper three rows, theta a rotation vector, with CasADi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from importlib import import_module
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,11 @@ from trajectory_calibration.solvers.solution import Solution
 
 # Starts of the search that follows a failed certificate.
 _MANY = 500
+
+# One thread at a time, in all programs: a CasADi function keeps the statistics of whoever called
+# it last, CasADi counts the references to shared symbols without a lock, and Ipopt's linear
+# solver (MUMPS) has global state, so that a program of its own for each thread would not do.
+_IPOPT = Lock()
 
 # Quiet, and tight: one iteration costs microseconds, digits are worth more.
 IPOPT_OPTIONS = {
@@ -78,17 +85,40 @@ def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, f
     """Minimise ``v^T G v`` over (theta, t) from a (4, 4) start; return X, cost, iterations."""
     # Ipopt's tolerances are absolute: give it a form with entries of order one.
     scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
-    solver = _program()
-    found = solver(x0=np.concatenate([np.zeros(3), start[:3, 3]]),
-                   p=np.concatenate([(G / scale).ravel(), start[:3, :3].ravel()]))
-    stats = solver.stats()
+    x, cost, iterations = run_ipopt(
+        _program, 'use solver park, or check the trajectories with inspect',
+        x0=np.concatenate([np.zeros(3), start[:3, 3]]),
+        p=np.concatenate([(G / scale).ravel(), start[:3, :3].ravel()]))
+    T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]) @ start[:3, :3], x[3:])
+    return T_a_b, cost * scale, iterations
+
+
+def run_ipopt(
+    program: Callable[[], Any], advice: str, **arguments: Any,
+) -> tuple[FloatArray, float, int]:
+    """Run the nonlinear program that ``program()`` returns; return x, cost and iterations.
+
+    Safe to call from several threads, which take turns.
+
+    Raises
+    ------
+    SolverError
+        Ipopt stopped before a minimum; the message ends with ``advice``.
+
+    """
+    with _IPOPT:
+        # In a call of its own, so that a program that has left its cache ends inside the lock.
+        x, cost, stats = _call(program(), arguments)
     if not stats['success']:
         raise SolverError(
             f'Ipopt stopped with {stats["return_status"]} after {stats["iter_count"]} iterations; '
-            'use solver park, or check the trajectories with inspect')
-    x = found['x'].full().ravel()
-    T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]) @ start[:3, :3], x[3:])
-    return T_a_b, float(found['f']) * scale, int(stats['iter_count'])
+            f'{advice}')
+    return x, cost, int(stats['iter_count'])
+
+
+def _call(solver: Any, arguments: dict[str, Any]) -> tuple[FloatArray, float, dict[str, Any]]:
+    found = solver(**arguments)
+    return found['x'].full().ravel(), float(found['f']), solver.stats()
 
 
 @lru_cache(maxsize=1)

@@ -23,7 +23,7 @@ truth (docs/solvers.md has the figures).
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -31,11 +31,11 @@ import numpy as np
 
 from trajectory_calibration import se3
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.dnl import symbolic_monomials
+from trajectory_calibration.solvers.dnl import run_ipopt, symbolic_monomials
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
 from trajectory_calibration.solvers.trimmed import Candidates, TrimmedCost, UPPER
@@ -45,6 +45,9 @@ _IPOPT_MOTIONS = 500
 
 # A cost below this share of another is clearly lower.
 _CLEARLY_LOWER = 0.95
+
+# One motion leaves the axis of its turn open.
+_LEAST_KEPT = 2
 
 # Starts of the alternation: consecutive parts of the drive, each solved alone.
 _PARTS = 8
@@ -63,7 +66,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises
     ------
     MotionError
-        The motions that are kept leave a direction of the extrinsic free; the message names it.
+        Fewer than two motions are kept, or those that are leave a direction of the extrinsic
+        free; the message names it.
     SolverError
         Ipopt stopped before a minimum.
 
@@ -102,13 +106,20 @@ def _finish(
 ) -> Solution:
     """Test what the kept motions determine, then take the last digits from the residuals."""
     T_a_b, weights = best.T_a_b[0], best.weights[:, 0]
+    inliers = weights > 0.5
+    kept = int(np.count_nonzero(inliers))
+    if kept < _LEAST_KEPT:
+        raise MotionError(
+            f'dnlo keeps {kept} of {len(motions)} motions, needed at least {_LEAST_KEPT}: the '
+            f'squared residuals of the rest are above dnlo_c, {cost.c:g}; raise dnlo_c or '
+            'dnlo_min_inliers')
     G = cost.gram(weights[:, None])[0]
     quadratic.require_translation(G, int(np.count_nonzero(weights)))
     quadratic.require_rotation(G, T_a_b)
     return Solution(
         quadratic.polish(T_a_b, motions, weights=weights, held=cost.held),
         float(best.cost[0]), steps,
-        inliers=weights > 0.5, linearise=linear.frobenius)
+        inliers=inliers, linearise=linear.frobenius)
 
 
 def _clearly_lower(first: Candidates, second: Candidates) -> Candidates:
@@ -136,24 +147,17 @@ def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
 def _minimise_with_ipopt(cost: TrimmedCost) -> tuple[Candidates, int]:
     """Minimise over extrinsic and weights together; return them and the iterations."""
     motions = len(cost.features)
-    solver = _program(motions)
-    found = solver(
+    x, value, iterations = run_ipopt(
+        partial(_program, motions), 'set dnlo_method to path',
         x0=np.concatenate([_PAPER_START, np.ones(motions)]),
         p=np.append(cost.features.ravel(order='F'), cost.c),
         lbx=np.concatenate([np.full(6, -np.inf), np.zeros(motions)]),
         ubx=np.concatenate([np.full(6, np.inf), np.ones(motions)]),
         lbg=cost.least, ubg=np.inf)
-    stats = solver.stats()
-    if not stats['success']:
-        raise SolverError(
-            f'Ipopt stopped with {stats["return_status"]} after {stats["iter_count"]} iterations; '
-            'set dnlo_method to path')
-    x = found['x'].full().ravel()
     T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]), x[3:6])
-    value = float(found['f']) + motions * cost.c
     # Ipopt may leave a bound by its relaxation, 1e-8.
     weights = np.clip(x[6:, None], 0.0, 1.0)
-    return Candidates(T_a_b[None], weights, np.array([value])), int(stats['iter_count'])
+    return Candidates(T_a_b[None], weights, np.array([value + motions * cost.c])), iterations
 
 
 @lru_cache(maxsize=8)

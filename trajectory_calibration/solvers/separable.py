@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.config import CalibrationConfig
@@ -16,6 +17,10 @@ from trajectory_calibration.solvers.solution import Solution
 # below which all rotations share one axis but for rounding.
 _SINGLE_AXIS = 1e-9
 
+# Rotation of a motion from which its axis is not trusted (radians). At half a turn the axis and
+# its opposite are the same rotation, and noise chooses between them for each sensor by itself.
+_HALF_TURN = np.deg2rad(170.0)
+
 
 def solve_separable(
     motions: MotionPairs, config: CalibrationConfig | None = None,
@@ -23,12 +28,54 @@ def solve_separable(
     """Align the rotation vectors, then solve for the translation.
 
     The cost of the solution is the sum of squared residuals of the translation, m^2.
+
+    Raises
+    ------
+    MotionError
+        As ``align_rotation_vectors``, or too few motions of less than half a turn.
+
     """
     config = config or CalibrationConfig()
+    motions, inliers, warnings = leave_out_half_turns(motions)
     R_a_b = align_rotation_vectors(motions, config)
     t, cost = solve_translation(R_a_b, motions, config)
     return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
-                    linearise=linear.separable)
+                    inliers=inliers, linearise=linear.separable, warnings=warnings)
+
+
+def leave_out_half_turns(
+    motions: MotionPairs,
+) -> tuple[MotionPairs, NDArray[np.bool_] | None, tuple[str, ...]]:
+    """Leave out the motions whose axis noise may flip, for methods that compare the axes.
+
+    Returns the motions to use, which of the given ones they are, (M,), or None for all, and
+    warnings. With reference A all are kept, as in the published figures: its motions wind up to
+    half a turn wherever a vehicle turns round.
+
+    Raises
+    ------
+    MotionError
+        Fewer than two motions remain.
+
+    """
+    angle = np.maximum(*(se3.rotation_angle(T[:, :3, :3]) for T in (motions.A, motions.B)))
+    kept: NDArray[np.bool_] = angle < _HALF_TURN
+    if kept.all():
+        return motions, None, ()
+    count, limit = int(np.count_nonzero(~kept)), f'{np.rad2deg(_HALF_TURN):.0f} degrees'
+    if len(motions) - count < 2:
+        raise MotionError(
+            f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
+            'axis that this solver compares; needed 2 that turn less: use another reference, as '
+            'auto, or solver dnl')
+    found = (f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
+             'axis')
+    if motions.reference == 'A':
+        return motions, None, (
+            f'{found}; they are kept, as published: use a reference B<n>, or solver dnl',)
+    used = MotionPairs(motions.reference, motions.i[kept], motions.j[kept],
+                       motions.A[kept], motions.B[kept], motions.pairs)
+    return used, kept, (f'{found}; they are left out',)
 
 
 def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> FloatArray:
@@ -46,16 +93,14 @@ def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> F
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
-    U, singular, Vt = np.linalg.svd(covariance)
+    U, singular, _ = np.linalg.svd(covariance)
     if quadratic.holds_rotation(config):
         # A nudge: it decides what the rotations leave open and nothing else.
         nudge = max(float(singular[0]), np.finfo(float).tiny) * _SINGLE_AXIS
-        U, _, Vt = np.linalg.svd(covariance + nudge * config.prior.rotation)
+        covariance = covariance + nudge * config.prior.rotation
     else:
         _require_two_axes(singular, U, len(motions))
-    sign = np.sign(np.linalg.det(U @ Vt))
-    rotation: FloatArray = U @ np.diag([1.0, 1.0, sign]) @ Vt
-    return rotation
+    return se3.nearest_rotation(covariance)
 
 
 def solve_translation(

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.motions import MotionPairs
@@ -112,8 +113,7 @@ class TrimmedCost:
         found = self.weigh(starts)
         for step in range(1, _MAX_STEPS + 1):
             G = self.gram(found.weights)
-            turns = np.linalg.eigvalsh(G[:, 9:12, 9:12])
-            solvable = turns[:, 0] > _SINGULAR * turns[:, 2]
+            solvable = _solvable(G)
             if not solvable.any():
                 # Nothing can move; the caller tests the kept motions and names the direction.
                 break
@@ -134,14 +134,17 @@ class TrimmedCost:
         The path that an interior-point method follows, with the weights eliminated: for a barrier
         mu they solve ``|M|^2 - c - lambda = mu / alpha - mu / (1 - alpha)``, and lambda is zero or
         what makes the sum of the weights d M. Every motion has its say at first and the decision
-        hardens slowly, which passes by the many small minima of the trimmed cost. Returns a
-        (4, 4) extrinsic and the steps that were taken.
+        hardens slowly, which passes by the many small minima of the trimmed cost. It ends early
+        where the weights have gone that carry a step. Returns a (4, 4) extrinsic and the steps
+        that were taken.
         """
         T_a_b = start[None]
         mu = max(float(self.squares(T_a_b).mean()), self.c)
         steps = 0
         while mu > _BARRIER_END * self.c and steps < _MAX_STEPS:
             G = self.gram(self._barrier_weights(self.squares(T_a_b), mu))
+            if not _solvable(G).all():
+                break
             T_a_b = _minimise_each(G, T_a_b)
             mu *= _BARRIER_FACTOR
             steps += 1
@@ -166,6 +169,13 @@ def _barrier_weight(excess: FloatArray, mu: float) -> FloatArray:
     # In a form without cancellation for large and for vanishing excess.
     weight: FloatArray = 0.5 - excess / (2 * (np.sqrt(excess**2 + 4 * mu**2) + 2 * mu))
     return weight
+
+
+def _solvable(G: FloatArray) -> NDArray[np.bool_]:
+    """Return which (S,) of (S, 13, 13) quadratic forms determine a translation."""
+    turns = np.linalg.eigvalsh(G[:, 9:12, 9:12])
+    solvable: NDArray[np.bool_] = turns[:, 0] > _SINGULAR * turns[:, 2]
+    return solvable
 
 
 def _minimise_each(G: FloatArray, T_a_b: FloatArray) -> FloatArray:

@@ -30,7 +30,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.separable import solve_separable
+from trajectory_calibration.solvers.separable import leave_out_half_turns, solve_separable
 from trajectory_calibration.solvers.solution import Equations, Solution
 
 # Rotation between the sensors from which the coordinates are turned (radians).
@@ -52,12 +52,13 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises
     ------
     MotionError
-        Rotation about fewer than two axes.
+        Rotation about fewer than two axes, or too few motions of less than half a turn.
     SolverError
         No convergence.
 
     """
     del config  # nothing to set
+    motions, inliers, warnings = leave_out_half_turns(motions)
     start = solve_separable(motions).T_a_b
     angle = float(se3.rotation_angle(start[:3, :3]))
     turned = angle > _NEAR_HALF_TURN
@@ -65,15 +66,15 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     S = _gram(motions, R_turn)
     z, t, cost, iterations = _gauss_newton(S, _to_z(start[:3, :3] @ R_turn.T), start[:3, 3])
     T_a_b = se3.from_rotation_translation(_from_z(z) @ R_turn, t)
-    warnings: tuple[str, ...] = ()
     if angle > _LARGE_ROTATION:
         warnings = (
+            *warnings,
             f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each other'
             ', where its parameter grows and magnifies noise' + (
                 ' without bound; solved in turned coordinates' if turned else '')
-            + '; prefer dnl or dnlo',)
-    return Solution(T_a_b, cost, iterations, linearise=partial(linearise, R_turn),
-                    warnings=warnings)
+            + '; prefer dnl or dnlo')
+    return Solution(T_a_b, cost, iterations, inliers=inliers,
+                    linearise=partial(linearise, R_turn), warnings=warnings)
 
 
 def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
