@@ -66,8 +66,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     """Return the scenario with what the options set."""
+    # All at once: how many poses a sensor gives depends on the duration and on its rate.
+    changes: dict[str, Any] = {}
     if arguments.duration is not None:
-        scenario = replace(scenario, duration=arguments.duration)
+        changes['duration'] = arguments.duration
     for name in 'ab':
         sensor = getattr(scenario, name)
         given = {
@@ -79,8 +81,8 @@ def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         }
         given = {key: value for key, value in given.items() if value is not None}
         noise = _changed_noise(sensor.noise, name, arguments.noise)
-        scenario = replace(scenario, **{name: replace(sensor, noise=noise, **given)})
-    return scenario
+        changes[name] = replace(sensor, noise=noise, **given)
+    return replace(scenario, **changes)
 
 
 def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
@@ -126,5 +128,5 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> None:
         print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
               f'{trajectory.duration_s:g} s')
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
-    clocks = f' --time-offset {offset:g}' if offset else ''
+    clocks = f' --time-offset {offset:.12g}' if offset else ''
     print(f'try: trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}')
