@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+import sys
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import progress_bar
@@ -33,15 +34,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect each path and print what was found."""
-    inputs = [
-        _inspect_bag(path) if is_bag(path)
-        else _inspect_file(path, arguments.file_format, arguments.times)
-        for path in arguments.paths]
-    if arguments.format == 'json':
+    """Inspect each path and print what was found, then what could not be read."""
+    inputs, errors = [], []
+    for path in arguments.paths:
+        try:
+            inputs.append(
+                _inspect_bag(path) if is_bag(path)
+                else _inspect_file(path, arguments.file_format, arguments.times))
+        except SourceError as error:
+            errors.append(error)
+    if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
         print('\n'.join(format_inspection(item) for item in inputs), end='')
+    if errors:
+        # What was found comes first, also where both go to one terminal.
+        sys.stdout.flush()
+        raise SourceError('; '.join(map(str, errors)))
     return 0
 
 
