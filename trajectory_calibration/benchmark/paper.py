@@ -158,6 +158,7 @@ def run_paper(benchmark: PaperBenchmark, progress: Progress) -> Path:
     text += _simulations(benchmark, groups, names)
     if benchmark.data is not None:
         text += _beside_published(benchmark, benchmark.data, records, groups)
+    if kitti:
         text += _kitti_chapter(kitti)
     return _write(benchmark.output / SUMMARY_FILE, text)
 
@@ -191,7 +192,7 @@ def _compute(
 def _run_kitti(benchmark: PaperBenchmark) -> list[KittiRecord]:
     if benchmark.data is None:
         return []
-    found = benchmark.executor.map(run_kitti_task, kitti_tasks(benchmark.data))
+    found = benchmark.executor.map(run_kitti_task, kitti_tasks(benchmark.data, benchmark.solvers))
     return list(chain.from_iterable(found))
 
 
