@@ -35,14 +35,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect each path and print what was found, then what could not be read."""
-    inputs, errors = [], []
-    for path in arguments.paths:
-        try:
-            inputs.append(
-                _inspect_bag(path) if is_bag(path)
-                else _inspect_file(path, arguments.file_format, arguments.times))
-        except SourceError as error:
-            errors.append(error)
+    found = [_inspect(path, arguments) for path in arguments.paths]
+    inputs = [item for item in found if not isinstance(item, SourceError)]
+    errors = [item for item in found if isinstance(item, SourceError)]
     if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
@@ -52,6 +47,16 @@ def run(arguments: argparse.Namespace) -> int:
         sys.stdout.flush()
         raise SourceError('; '.join(map(str, errors)))
     return 0
+
+
+def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | SourceError:
+    """Describe what is at a path, or return why that cannot be done."""
+    try:
+        if is_bag(path):
+            return _inspect_bag(path)
+        return _inspect_file(path, arguments.file_format, arguments.times)
+    except SourceError as error:
+        return error
 
 
 def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
