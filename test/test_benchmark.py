@@ -284,6 +284,14 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch):
     assert '12 of 19 runs computed in this call' in summary.read_text(encoding='utf-8')
 
 
+def test_a_summary_that_cannot_be_written(tmp_path, monkeypatch):
+    monkeypatch.setattr('trajectory_calibration.benchmark.figures.draw_all', lambda *_: [])
+    (tmp_path / 'summary.md').mkdir()
+    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=('park',), executor=Executor(jobs=1))
+    with pytest.raises(ResultError, match=r'summary.md cannot be written: Is a directory'):
+        run_paper(benchmark, lambda *_: None)
+
+
 def test_the_command_writes_tables_and_figures(tmp_path, capsys):
     command = ('benchmark', 'paper', '--runs', '2', '--seed', '5', '--solvers', 'park,dnlo',
                '--jobs', '1', '--output', tmp_path)

@@ -140,6 +140,10 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     (tmp_path / 'file').touch()
     assert simulate_to(tmp_path / 'file') == 1
     assert 'cannot be made' in capsys.readouterr().err
+    (tmp_path / 'taken' / 'a.tum').mkdir(parents=True)
+    assert simulate_to(tmp_path / 'taken') == 1
+    assert capsys.readouterr().err == (
+        f'error: {tmp_path}/taken/a.tum cannot be written: Is a directory\n')
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 0
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
     assert 'cannot be written as a bag' in capsys.readouterr().err
