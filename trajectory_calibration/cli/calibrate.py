@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.report.text import format_result
@@ -54,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     config = config_from_arguments(arguments)
     truth = None if arguments.ground_truth is None else _read_truth(arguments.ground_truth)
     trajectory_a, trajectory_b = _load(arguments)
-    result = calibrate(trajectory_a, trajectory_b, config)
+    with running_clock('calibrating'):
+        result = calibrate(trajectory_a, trajectory_b, config)
     if arguments.output is not None:
         _write(result, truth, arguments.output)
     _print(result, truth, arguments.format)
