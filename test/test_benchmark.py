@@ -13,7 +13,13 @@ from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.benchmark.claims import FAILS, HOLDS, judge, OPEN, PARTLY
 from trajectory_calibration.benchmark.comparison import compare_runs, compare_with_quartiles
 from trajectory_calibration.benchmark.executor import Executor
-from trajectory_calibration.benchmark.kitti import KittiTask, PUBLISHED_C, run_kitti_task, STATED_C
+from trajectory_calibration.benchmark.kitti import (
+    kitti_tasks,
+    KittiTask,
+    PUBLISHED_C,
+    run_kitti_task,
+    STATED_C,
+)
 from trajectory_calibration.benchmark.paper import PaperBenchmark, run_paper
 from trajectory_calibration.benchmark.published import (
     ERRORS,
@@ -163,6 +169,20 @@ def test_kitti_records(shared_data, sequence):
             np.testing.assert_allclose(item.errors, item.published, atol=0.003)
 
 
+def test_kitti_tables_are_of_the_solvers_that_were_asked_for(shared_data, tmp_path, monkeypatch):
+    monkeypatch.setattr('trajectory_calibration.benchmark.figures.draw_all', lambda *_: [])
+    benchmark = PaperBenchmark(
+        tmp_path, shared_data, runs=1, solvers=('taylor', 'park'), executor=Executor(jobs=1))
+    text = run_paper(benchmark, lambda *_: None).read_text(encoding='utf-8')
+    assert {row['solver'] for row in rows_of(tmp_path / 'kitti.csv')} == {'taylor', 'park'}
+    chapter = text[text.index('## KITTI'):]
+    assert '24 of 24 pairs' in chapter
+    assert '| dnl | B5 |' not in chapter
+    assert [task.solvers for task in kitti_tasks(shared_data, ('drift_aware', 'dnlo', 'ali'))] == [
+        ('ali', 'dnlo')] * 2 * len(REFERENCES)
+    assert kitti_tasks(shared_data, ('drift_aware',)) == []
+
+
 # --- The results file ---
 
 @pytest.fixture
@@ -262,6 +282,14 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch):
     assert after[:len(before)] == before
     assert len(after) == 19 * len(QUICK) * len(REFERENCES)
     assert '12 of 19 runs computed in this call' in summary.read_text(encoding='utf-8')
+
+
+def test_a_summary_that_cannot_be_written(tmp_path, monkeypatch):
+    monkeypatch.setattr('trajectory_calibration.benchmark.figures.draw_all', lambda *_: [])
+    (tmp_path / 'summary.md').mkdir()
+    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=('park',), executor=Executor(jobs=1))
+    with pytest.raises(ResultError, match=r'summary.md cannot be written: Is a directory'):
+        run_paper(benchmark, lambda *_: None)
 
 
 def test_the_command_writes_tables_and_figures(tmp_path, capsys):

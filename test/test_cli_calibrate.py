@@ -136,6 +136,16 @@ def test_output_folder(files, tmp_path, capsys):
         assert json.loads(out)['e_at_m'] < 1e-8
 
 
+def test_output_holds_the_errors_against_the_truth(files, tmp_path, capsys):
+    a, b, truth = files
+    _, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--ground-truth', truth,
+                    '--output', tmp_path, '--format', 'json')
+    saved = YAML(typ='safe', pure=True).load(tmp_path / 'result.yaml')
+    assert saved == json.loads(out)
+    assert saved['e_at_m'] < 1e-9
+    CalibrationResult.load(tmp_path / 'result.yaml')
+
+
 def test_output_that_cannot_be_written(files, capsys):
     a, b, _ = files
     status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', f'{a}/below')

@@ -129,6 +129,22 @@ def test_nothing_there(tmp_path, capsys):
     assert err == f'error: {tmp_path}/none cannot be read: No such file or directory\n'
 
 
+@pytest.mark.parametrize('order', [(0, 1, 2), (2, 0, 1), (1, 0, 2)])
+def test_what_can_be_read_is_shown_before_the_error(tmp_path, capsys, order):
+    a, b, _ = write_pair(tmp_path)
+    paths = [(a, f'{tmp_path}/none', b)[k] for k in order]
+    status, out, err = run(capsys, 'inspect', *paths)
+    assert status == 1
+    assert out.count('sufficient: ') == 2
+    assert err == f'error: {tmp_path}/none cannot be read: No such file or directory\n'
+    status, out, err = run(capsys, 'inspect', *paths, f'{tmp_path}/x.mcap', '--format', 'json')
+    assert status == 1
+    assert {found['path'] for found in json.loads(out)['inputs']} == {a, b}
+    assert err.count('\n') == 1
+    assert f'{tmp_path}/none' in err
+    assert f'{tmp_path}/x.mcap' in err
+
+
 def _inspect(turn, seconds=60.0, rate=10.0, noise=0.0):
     """Inspect a trajectory whose rotation vector after t seconds is ``turn(t)``."""
     time = np.arange(0, seconds, 1 / rate)

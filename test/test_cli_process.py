@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 from cli_helpers import run, write_pair
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from trajectory_calibration import __version__
 from trajectory_calibration.cli import progress
 from trajectory_calibration.cli.main import main
+from trajectory_calibration.errors import SolverError
 
 COMMAND = (sys.executable, '-m', 'trajectory_calibration')
 
@@ -141,6 +143,48 @@ def test_short_work_and_files_see_no_progress(monkeypatch):
     with progress.progress_bar('reading') as draw:
         draw(1, 2)
     assert (terminal.getvalue(), file.getvalue()) == ('', '')
+
+
+@pytest.mark.parametrize('command', ['calibrate', 'simulate'])
+def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
+        tmp_path, monkeypatch, capsys, command):
+    a, b, _ = write_pair(tmp_path)
+    arguments = {'calibrate': [a, b, '--solver', 'taylor', '--reference', 'B5'],
+                 'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise']}[command]
+    monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    assert main([command, *arguments]) == 0
+    shown = terminal.getvalue()
+    assert shown.startswith(f'\r{command.removesuffix("e")}ing, 0 s')
+    assert shown.endswith('\r\033[K')
+    # Whatever came out after it came out after it was cleared.
+    assert '\r' not in capsys.readouterr().out
+    file = io.StringIO()
+    monkeypatch.setattr(sys, 'stderr', file)
+    assert main([command, *arguments]) == 0
+    assert file.getvalue() == ''
+
+
+def test_a_clock_counts_and_is_cleared_before_an_error(monkeypatch):
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
+    monkeypatch.setattr(progress, '_TICK_S', 0.01)
+    with pytest.raises(SolverError), progress.running_clock('calibrating'):
+        while terminal.getvalue().count('calibrating') < 3:
+            time.sleep(0.01)
+        raise SolverError('found nothing')
+    assert terminal.getvalue().count('\rcalibrating, 0 s') >= 3
+    assert terminal.getvalue().endswith('\r\033[K')
+
+
+def test_short_work_sees_no_clock(monkeypatch):
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, 'stderr', terminal)
+    with progress.running_clock('calibrating'):
+        pass
+    assert terminal.getvalue() == ''
 
 
 def test_arguments_of_the_process_are_the_default(monkeypatch, capsys):

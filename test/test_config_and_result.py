@@ -142,6 +142,15 @@ def test_truth_fills_the_absolute_errors(result):
     assert data['e_aR_deg'] == pytest.approx(0, abs=1e-6)
 
 
+def test_errors_unpack(result):
+    truth = result.T_a_b.copy()
+    truth[0, 3] += 0.25
+    e_at, e_aR = result.absolute_errors(truth)
+    assert (e_at, e_aR) == pytest.approx((0.25, 0), abs=1e-7)
+    e_rt, e_rR = result.metrics
+    assert (e_rt, e_rR) == (result.metrics.e_rt, result.metrics.e_rR)
+
+
 def test_a_saved_result_reads_back(result, tmp_path):
     path = tmp_path / 'result.yaml'
     result.save(path)

@@ -15,7 +15,7 @@ NAME = PACKAGE.name
 # names; the solvers stand after it.
 FLOW = (
     ('errors', 'version'),
-    ('se3',),
+    ('se3', 'writing'),
     ('trajectory',),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),

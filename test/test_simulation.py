@@ -1,6 +1,6 @@
 """The simulator against the paper's published trajectories and against its own definition."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -349,11 +349,26 @@ def test_clock_rate_and_gaps():
     np.testing.assert_array_equal(pair.b.poses, whole.b.poses[kept])
 
 
+@pytest.mark.parametrize('noise', [
+    replace(Noise(), **{item.name: 1e6})
+    for item in fields(Noise) if item.name not in ('jumps', 'loop_closures')])
+def test_the_largest_noise_is_still_a_trajectory(noise):
+    pair = simulate(with_noise(Scenario(), noise, noise), 19)
+    assert len(pair.b) == 100
+
+
 @pytest.mark.parametrize('make', [
     lambda: Noise(white=-0.1),
     lambda: Noise(walk=float('nan')),
     lambda: Noise(scale=0.0),
     lambda: Noise(coloured_time=0.0),
+    lambda: Noise(white=1e308),
+    lambda: Noise(jumps=10**7),
+    lambda: Sensor(clock_offset=float('nan')),
+    lambda: Sensor(clock_offset=1e300),
+    lambda: Sensor(clock_offset=-1.8e9),
+    lambda: Scenario(duration=0.01),
+    lambda: Scenario(duration=0.5, b=Sensor(rate=1.0)),
     lambda: Sensor(rate=0.0),
     lambda: Sensor(gaps=-1),
     lambda: Scenario(duration=float('inf')),

@@ -105,6 +105,9 @@ def test_options_change_the_scenario(tmp_path):
     ('--noise', 'jumps=1.5'),
     ('--noise', 'white=-1'),
     ('--rate-b', '0'),
+    ('--clock-offset-a', 'nan'),
+    ('--clock-offset-a', '1e300'),
+    ('--noise', 'white=1e308'),
 ])
 def test_wrong_use(tmp_path, capsys, options):
     assert simulate_to(tmp_path, *options) == 2
@@ -114,10 +117,33 @@ def test_wrong_use(tmp_path, capsys, options):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_single_pose_is_refused_in_words_of_what_was_asked(tmp_path, capsys):
+    assert simulate_to(tmp_path, '--duration', '0.01') == 2
+    assert capsys.readouterr().err == (
+        'error: 0.01 s at 10.0 hertz are 1 pose of lidar, needed at least 2; raise the duration '
+        'or the rate\n')
+    assert simulate_to(tmp_path, '--duration', '0.01', '--rate-a', '1e3', '--rate-b', '1e3',
+                       '--noise', 'jumps=0') == 0
+
+
+@pytest.mark.parametrize('offset', ['-1700000000', '400000000'])
+def test_the_largest_clock_offsets_can_be_written(tmp_path, capsys, offset):
+    for file_format in FORMATS:
+        assert simulate_to(tmp_path / file_format, '--clock-offset-a', offset, '--scenario',
+                           'noise', '--format', file_format) == 0
+        assert f'--time-offset {offset}\n' in capsys.readouterr().out
+    first = FileSource(tmp_path / 'tum' / 'a.tum').load().stamps_ns[0]
+    assert first == (int(offset) + 1_700_000_000) * 10**9
+
+
 def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     (tmp_path / 'file').touch()
     assert simulate_to(tmp_path / 'file') == 1
     assert 'cannot be made' in capsys.readouterr().err
+    (tmp_path / 'taken' / 'a.tum').mkdir(parents=True)
+    assert simulate_to(tmp_path / 'taken') == 1
+    assert capsys.readouterr().err == (
+        f'error: {tmp_path}/taken/a.tum cannot be written: Is a directory\n')
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 0
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
     assert 'cannot be written as a bag' in capsys.readouterr().err

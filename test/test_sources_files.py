@@ -167,8 +167,12 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'a,b,c\n', 'line 1: no known format'),
     (b'1 2 3\n', 'line 1: no known format'),
     (b'1.5,1,2,3,1,0,0,0\n', 'line 1: no known format'),
-    (b'1 2 3 4 0 0 0 1\n', '1 pose with a stamp of its own, needed at least 2'),
-    (b'nan nan nan nan nan nan nan nan\n' * 3, '0 pose'),
+    (b'1 2 3 4 0 0 0 1\n', '1 of 1 rows give a pose, needed at least 2; record'),
+    (b'1 2 3 4 0 0 0 1\n' * 2, '1 pose with a stamp of its own, needed at least 2'),
+    (b'nan nan nan nan nan nan nan nan\n' * 3,
+     r'0 of 3 rows give a pose, needed at least 2 \(3 of 3 poses are not finite: dropped\)'),
+    (b'1 2 3 4 0 0 0 1\n2 nan 3 4 0 0 0 1\n3 4',
+     '1 of 2 rows give a pose.*the last line, 3, is cut off: dropped; 1 of 2 poses are not'),
 ])
 def test_files_that_hold_no_trajectory(tmp_path, content, message):
     path = tmp_path / 'a.txt'
@@ -213,6 +217,13 @@ def test_kitti_matrix_that_is_no_rotation(tmp_path):
     path = _write(tmp_path / 'poses.txt', ['1 0 0 0 0 2 0 0 0 0 1 0'] * 3)
     times = _write(tmp_path / 't.txt', ['0', '1', '2'])
     with pytest.raises(SourceError, match='the deviation from a rotation is'):
+        FileSource(path, times=times).load()
+
+
+def test_kitti_without_two_poses(tmp_path):
+    path = _write(tmp_path / 'poses.txt', ['1 0 0 0 0 1 0 0 0 0 1 0', 'nan ' * 12] * 2)
+    times = _write(tmp_path / 't.txt', ['nan', '1', '2', '3'])
+    with pytest.raises(SourceError, match=r'1 of 4 rows .* \(3 of 4 poses are not finite'):
         FileSource(path, times=times).load()
 
 

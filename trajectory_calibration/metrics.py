@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,7 @@ from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 
 
-@dataclass(frozen=True)
-class RelativeErrors:
+class RelativeErrors(NamedTuple):
     """How well an extrinsic explains the relative motions; means over the motions.
 
     Small values do not prove a good extrinsic: short motions fit any one well.
@@ -29,8 +28,7 @@ class RelativeErrors:
     e_rR: float
 
 
-@dataclass(frozen=True)
-class AbsoluteErrors:
+class AbsoluteErrors(NamedTuple):
     """How far an extrinsic is from a known truth.
 
     Attributes

@@ -45,6 +45,7 @@ from trajectory_calibration.benchmark.tasks import (
 )
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.solvers import SOLVER_NAMES
+from trajectory_calibration.writing import write_text
 
 TRAJECTORIES = ('simulated', 'published', 'both')
 SUMMARY_FILE = 'summary.md'
@@ -158,8 +159,11 @@ def run_paper(benchmark: PaperBenchmark, progress: Progress) -> Path:
     text += _simulations(benchmark, groups, names)
     if benchmark.data is not None:
         text += _beside_published(benchmark, benchmark.data, records, groups)
+    if kitti:
         text += _kitti_chapter(kitti)
-    return _write(benchmark.output / SUMMARY_FILE, text)
+    summary = benchmark.output / SUMMARY_FILE
+    write_text(summary, text, ResultError)
+    return summary
 
 
 def _load_figures() -> Callable[..., list[str]]:
@@ -191,7 +195,7 @@ def _compute(
 def _run_kitti(benchmark: PaperBenchmark) -> list[KittiRecord]:
     if benchmark.data is None:
         return []
-    found = benchmark.executor.map(run_kitti_task, kitti_tasks(benchmark.data))
+    found = benchmark.executor.map(run_kitti_task, kitti_tasks(benchmark.data, benchmark.solvers))
     return list(chain.from_iterable(found))
 
 
@@ -265,11 +269,3 @@ def _kitti_chapter(records: Sequence[KittiRecord]) -> str:
         text += f'\n### {sequence}: along and across the axis that it determines least\n\n'
         text += tables.kitti_axes_table(records, sequence)
     return text
-
-
-def _write(path: Path, text: str) -> Path:
-    try:
-        path.write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
-    return path

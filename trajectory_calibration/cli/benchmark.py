@@ -37,7 +37,7 @@ def _add_paper(experiments: argparse._SubParsersAction[argparse.ArgumentParser])
     paper.add_argument(
         '--data', type=Path, metavar='DIR',
         help='folder of the published data; with it, the published trajectories are used, and '
-        'the KITTI tables are made')
+        'the KITTI tables are made, of those of the solvers that the paper has')
     paper.add_argument(
         '--trajectories', metavar='WHICH',
         help='simulated, published or both (default: published with --data, else simulated)')

@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.report.text import format_result
-from trajectory_calibration.result import CalibrationResult, to_yaml
+from trajectory_calibration.result import CalibrationResult, to_yaml, write_yaml
 from trajectory_calibration.se3 import FloatArray, rotation_to_quaternion
 from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
 from trajectory_calibration.trajectory import Trajectory
@@ -54,9 +54,10 @@ def run(arguments: argparse.Namespace) -> int:
     config = config_from_arguments(arguments)
     truth = None if arguments.ground_truth is None else _read_truth(arguments.ground_truth)
     trajectory_a, trajectory_b = _load(arguments)
-    result = calibrate(trajectory_a, trajectory_b, config)
+    with running_clock('calibrating'):
+        result = calibrate(trajectory_a, trajectory_b, config)
     if arguments.output is not None:
-        _write(result, arguments.output)
+        _write(result, truth, arguments.output)
     _print(result, truth, arguments.format)
     return 0
 
@@ -105,7 +106,7 @@ def _load_topics(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]
             tracks[arguments.b].to_trajectory(arguments.frame_b))
 
 
-def _write(result: CalibrationResult, folder: Path) -> None:
+def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
     """Write the result, and the bare transform as one row that other tools read."""
     t, q = result.T_a_b[:3, 3], rotation_to_quaternion(result.T_a_b[:3, :3])
     row = ' '.join(f'{value:.9f}' for value in (*t, *q))
@@ -118,7 +119,7 @@ def _write(result: CalibrationResult, folder: Path) -> None:
         raise ResultError(
             f'{folder} cannot be written: {error.strerror or error}; give another --output'
         ) from error
-    result.save(folder / RESULT_FILE)
+    write_yaml(folder / RESULT_FILE, result.to_dict(truth))
 
 
 def _print(result: CalibrationResult, truth: FloatArray | None, output_format: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+import sys
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import progress_bar
@@ -33,16 +34,29 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect each path and print what was found."""
-    inputs = [
-        _inspect_bag(path) if is_bag(path)
-        else _inspect_file(path, arguments.file_format, arguments.times)
-        for path in arguments.paths]
-    if arguments.format == 'json':
+    """Inspect each path and print what was found, then what could not be read."""
+    found = [_inspect(path, arguments) for path in arguments.paths]
+    inputs = [item for item in found if not isinstance(item, SourceError)]
+    errors = [item for item in found if isinstance(item, SourceError)]
+    if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
         print('\n'.join(format_inspection(item) for item in inputs), end='')
+    if errors:
+        # What was found comes first, also where both go to one terminal.
+        sys.stdout.flush()
+        raise SourceError('; '.join(map(str, errors)))
     return 0
+
+
+def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | SourceError:
+    """Describe what is at a path, or return why that cannot be done."""
+    try:
+        if is_bag(path):
+            return _inspect_bag(path)
+        return _inspect_file(path, arguments.file_format, arguments.times)
+    except SourceError as error:
+        return error
 
 
 def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:

@@ -1,15 +1,22 @@
-"""A progress bar on standard error, where a person watches."""
+"""Signs of progress on standard error, where a person watches."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import sys
+from threading import Event, Thread
 import time
 
 # Work that ends sooner needs no bar.
 _PATIENCE_S = 0.5
 _WIDTH = 30
+
+# The same for a clock, and the time between two of its readings.
+_CLOCK_PATIENCE_S = 2.0
+_TICK_S = 1.0
+
+_CLEAR = '\r\033[K'
 
 
 @contextmanager
@@ -35,5 +42,37 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
         yield draw
     finally:
         if shown:
-            sys.stderr.write('\r\033[K')
+            sys.stderr.write(_CLEAR)
             sys.stderr.flush()
+
+
+@contextmanager
+def running_clock(label: str) -> Iterator[None]:
+    """Show the seconds that the work takes, whose end is not known; clear them at the end.
+
+    Nothing is written unless standard error is a terminal and the work takes its time.
+    """
+    if not sys.stderr.isatty():
+        yield
+        return
+    ended = Event()
+    clock = Thread(target=_tick, args=(label, time.monotonic(), ended), daemon=True)
+    clock.start()
+    try:
+        yield
+    finally:
+        # Before anything else is written: an answer, or the reason why there is none.
+        ended.set()
+        clock.join()
+
+
+def _tick(label: str, start: float, ended: Event) -> None:
+    if ended.wait(_CLOCK_PATIENCE_S):
+        return
+    while True:
+        sys.stderr.write(f'\r{label}, {time.monotonic() - start:.0f} s')
+        sys.stderr.flush()
+        if ended.wait(_TICK_S):
+            break
+    sys.stderr.write(_CLEAR)
+    sys.stderr.flush()

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
@@ -59,15 +60,22 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise ConfigError(f'seed is {arguments.seed}, needed a whole number from 0 up')
     scenario = _changed(SCENARIOS[arguments.scenario], arguments)
-    pair = simulate(scenario, arguments.seed)
-    _write(pair, arguments)
+    with running_clock('simulating'):
+        pair = simulate(scenario, arguments.seed)
+        hint = _write(pair, arguments)
+    for name, trajectory in (('a', pair.a), ('b', pair.b)):
+        print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
+              f'{trajectory.duration_s:g} s')
+    print(f'try: {hint}')
     return 0
 
 
 def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
     """Return the scenario with what the options set."""
+    # All at once: how many poses a sensor gives depends on the duration and on its rate.
+    changes: dict[str, Any] = {}
     if arguments.duration is not None:
-        scenario = replace(scenario, duration=arguments.duration)
+        changes['duration'] = arguments.duration
     for name in 'ab':
         sensor = getattr(scenario, name)
         given = {
@@ -79,8 +87,8 @@ def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         }
         given = {key: value for key, value in given.items() if value is not None}
         noise = _changed_noise(sensor.noise, name, arguments.noise)
-        scenario = replace(scenario, **{name: replace(sensor, noise=noise, **given)})
-    return scenario
+        changes[name] = replace(sensor, noise=noise, **given)
+    return replace(scenario, **changes)
 
 
 def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
@@ -104,7 +112,8 @@ def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
     return replace(noise, **values)
 
 
-def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> None:
+def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
+    """Write the files; return the command that calibrates them."""
     from trajectory_calibration.simulation.files import write_bag, write_transform, write_tum
     folder: Path = arguments.output
     try:
@@ -122,9 +131,6 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> None:
         write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
                   message=arguments.message, storage=arguments.format)
     write_transform(truth, pair.T_a_b)
-    for name, trajectory in (('a', pair.a), ('b', pair.b)):
-        print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
-              f'{trajectory.duration_s:g} s')
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
-    clocks = f' --time-offset {offset:g}' if offset else ''
-    print(f'try: trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}')
+    clocks = f' --time-offset {offset:.12g}' if offset else ''
+    return f'trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}'

@@ -12,6 +12,7 @@ import numpy as np
 from trajectory_calibration import se3
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.writing import write_text
 
 STORAGES = ('mcap', 'sqlite3')
 MESSAGES = ('odometry', 'pose_stamped')
@@ -33,8 +34,8 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     rows = ''.join(
         f'{stamp // 10**9}.{stamp % 10**9:09d} {" ".join(map(repr, row))}\n'
         for stamp, row in zip(trajectory.stamps_ns.tolist(), numbers, strict=True))
-    _write(path, f'# {trajectory.sensor_frame} in {trajectory.world_frame}: '
-           f't x y z qx qy qz qw\n{rows}')
+    header = f'# {trajectory.sensor_frame} in {trajectory.world_frame}: t x y z qx qy qz qw\n'
+    write_text(path, header + rows, SourceError)
 
 
 def write_transform(path: Path, transform: se3.FloatArray) -> None:
@@ -47,7 +48,8 @@ def write_transform(path: Path, transform: se3.FloatArray) -> None:
 
     """
     numbers = [*transform[:3, 3], *se3.rotation_to_quaternion(transform[:3, :3])]
-    _write(path, f'# t x y z qx qy qz qw\n0 {" ".join(repr(float(x)) for x in numbers)}\n')
+    row = ' '.join(repr(float(x)) for x in numbers)
+    write_text(path, f'# t x y z qx qy qz qw\n0 {row}\n', SourceError)
 
 
 def write_bag(
@@ -126,10 +128,3 @@ def _message_builder(types: Mapping[str, Any], message: str) -> Callable[[Trajec
         return types[_TYPES[message]](header, trajectory.sensor_frame, with_covariance, twist)
 
     return build
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding='utf-8')
-    except OSError as error:
-        raise SourceError(f'{path} cannot be written: {error.strerror or error}') from error

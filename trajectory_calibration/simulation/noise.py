@@ -20,6 +20,9 @@ from trajectory_calibration.se3 import FloatArray
 # Each axis of a jump has this variance, square metres.
 JUMP_VARIANCE = 0.02
 
+# Of every number: far beyond any sensor, and far from where sums of squares overflow.
+_LARGEST = 1e6
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -58,8 +61,8 @@ class Noise:
         for item in fields(self):
             value = getattr(self, item.name)
             # Written so that NaN fails.
-            if value is not None and not 0 <= value < float('inf'):
-                raise ConfigError(f'noise {item.name} is {value}, needed a number from 0 up')
+            if value is not None and not 0 <= value <= _LARGEST:
+                raise ConfigError(f'noise {item.name} is {value}, needed 0 to {_LARGEST:.0f}')
         if self.scale == 0 or self.coloured_time == 0:
             raise ConfigError('noise scale and coloured_time are needed above 0')
 
@@ -183,5 +186,6 @@ def _moments(poses: int, count: int, rng: np.random.Generator) -> NDArray[np.int
     """Return the sorted indices of ``count`` different poses, never the first."""
     if count >= poses:
         raise ConfigError(
-            f'{count} jumps or loop closures asked of {poses} poses; needed fewer than poses')
+            f'{count} jumps or loop closures asked of {poses} poses; needed fewer than '
+            'poses: ask for fewer, or for a longer duration')
     return np.sort(rng.permutation(np.arange(1, poses))[:count])

@@ -16,6 +16,9 @@ from trajectory_calibration.trajectory import Trajectory
 # A day in 2023, so that stamps are as long as real ones.
 START_NS = 1_700_000_000_000_000_000
 
+# Seconds by which a clock may be off: stamps stay those of a message, 32 bits from 0 up.
+_CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
+
 # Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
 _REACH = 0.5
 
@@ -46,6 +49,10 @@ class Sensor:
     def __post_init__(self) -> None:
         if not 0 < self.rate <= 1e6:
             raise ConfigError(f'rate is {self.rate}, needed above 0 and up to 1e6 hertz')
+        low, high = _CLOCK_OFFSET
+        if not low <= self.clock_offset <= high:
+            raise ConfigError(
+                f'clock offset is {self.clock_offset}, needed {low} to {high} s')
         if not (self.gaps >= 0 and self.gap >= 0):
             raise ConfigError(
                 f'{self.gaps} gaps of {self.gap} s are asked for; needed numbers from 0 up')
@@ -72,6 +79,12 @@ class Scenario:
     def __post_init__(self) -> None:
         if not 0 < self.duration <= 1e6:
             raise ConfigError(f'duration is {self.duration}, needed above 0 and up to 1e6 s')
+        for sensor in (self.a, self.b):
+            poses = _count(self.duration, sensor.rate)
+            if poses < 2:
+                raise ConfigError(
+                    f'{self.duration} s at {sensor.rate} hertz are {poses} pose of '
+                    f'{sensor.sensor_frame}, needed at least 2; raise the duration or the rate')
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +145,12 @@ def random_pose(rng: np.random.Generator) -> FloatArray:
 
 
 def _times(scenario: Scenario, sensor: Sensor) -> FloatArray:
+    return np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate
+
+
+def _count(duration: float, rate: float) -> int:
     # The small addition keeps the last sample where duration * rate is a whole number.
-    return np.arange(int(scenario.duration * sensor.rate + 1e-6) + 1) / sensor.rate
+    return int(duration * rate + 1e-6) + 1
 
 
 def _observe(

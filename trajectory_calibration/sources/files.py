@@ -107,10 +107,11 @@ class FileSource:
                 f'{norm[k]:.6g}, needed 1; is the file in the format {file_format}, with the '
                 f'quaternion in the order {"x, y, z, w" if file_format == "tum" else "w, x, y, z"}'
                 '?')
+        notes = [*table.notes, *_lost_note(lost)]
+        self._require_two(keep, notes)
         return Trajectory.from_quaternions(
             rows.stamps_ns[keep], rows.values[keep, 1:4], quaternions[keep],
-            self.world_frame, self.sensor_frame,
-            self._warnings([*table.notes, *_lost_note(lost)]))
+            self.world_frame, self.sensor_frame, self._warnings(notes))
 
     def _kitti(self, table: _Table, times: _Table) -> Trajectory:
         rows = table.parse(_COLUMNS['kitti'], None)
@@ -124,12 +125,22 @@ class FileSource:
                 'for each pose')
         finite = np.isfinite(rows.values[:used]).all(axis=1)
         lost = ~(finite & np.isfinite(stamps.values[:used, 0]))
+        notes = [*table.notes, *times.notes, *_lost_note(lost)]
+        self._require_two(~lost, notes)
         T = np.zeros((used, 4, 4))
         T[:, :3] = rows.values[:used].reshape(-1, 3, 4)
         T[:, 3, 3] = 1.0
         return Trajectory(
             stamps.stamps_ns[:used][~lost], T[~lost], self.world_frame, self.sensor_frame,
-            self._warnings([*table.notes, *times.notes, *_lost_note(lost)]))
+            self._warnings(notes))
+
+    def _require_two(self, keep: NDArray[np.bool_], notes: list[str]) -> None:
+        count = int(np.count_nonzero(keep))
+        if count < 2:
+            because = f' ({"; ".join(notes)})' if notes else ''
+            raise SourceError(
+                f'{self.path}: {count} of {len(keep)} rows give a pose, needed at least 2'
+                f'{because}; record while the sensor moves and its SLAM tracks')
 
     def _warnings(self, notes: list[str]) -> tuple[str, ...]:
         return tuple(f'{self.sensor_frame}: {self.path}: {note}' for note in notes)
