@@ -101,7 +101,7 @@ def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):
     assert 'time offset     0.0000 s' in text
     assert '  observed        none; unobserved: x, y, z, rotation x, rotation y,' in text
     # What does not fit goes on under its column.
-    assert f'{"z":>19}' in lines
+    assert ' ' * 18 + '5.1 cm, B12 5.1 cm,' in lines
 
 
 @pytest.mark.parametrize('angles', [
