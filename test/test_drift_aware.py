@@ -1,5 +1,6 @@
 """The drift-aware solver as a whole: laws, noise identified, honest covariance, real data."""
 
+from dataclasses import replace
 from functools import partial
 
 from motion_data import random_pose
@@ -8,11 +9,12 @@ from published import kitti, SEQUENCES, simulations
 import pytest
 
 from trajectory_calibration import se3, Trajectory
-from trajectory_calibration.association import associate_nearest
+from trajectory_calibration.association import associate, associate_nearest
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.metrics import absolute_errors
 from trajectory_calibration.motions import select_motions
+from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.solvers.drift.fit import fit
 from trajectory_calibration.solvers.drift.selection import estimate
@@ -318,3 +320,36 @@ def test_kitti_cameras_at_coinciding_stamps(shared_data):
     assert corrected.e_at <= 0.075
     assert np.rad2deg(corrected.e_aR) <= 0.06
     assert abs(solution.scale - (1 - 0.021)) < 0.003
+
+
+@pytest.mark.parametrize('unit', [1e-3, 0.1, 3.0, 40.0])
+@pytest.mark.parametrize('name', ['offroad', 'handheld', 'drone'])
+def test_another_unit_changes_nothing_but_the_scale(name, unit):
+    run = simulate(replace(SCENARIOS[name], duration=40.0), 5)
+    pairs = associate(run.a, run.b)
+    found, other = solve_pairs(pairs, AUTO), solve_pairs(pairs.scaled(unit), AUTO)
+    deviation = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(other.scale * unit, found.scale, rtol=0.02)
+    moved = np.concatenate([
+        other.T_a_b[:3, 3] - found.T_a_b[:3, 3],
+        se3.log_so3(other.T_a_b[:3, :3] @ found.T_a_b[:3, :3].T)])
+    assert (np.abs(moved) < 1.5 * deviation).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)), deviation, rtol=0.5)
+
+
+@pytest.mark.parametrize('pivot', [0.0, 0.05])
+def test_turning_on_the_spot_is_no_scale(pivot):
+    """A sensor on a long arm moves far where the other hardly does."""
+    rng = np.random.default_rng(3)
+    times = np.arange(600) * 0.1
+    turn = 0.4 * np.stack([np.sin(0.5 * times), np.sin(0.33 * times + 1),
+                           2 * np.sin(0.21 * times)], axis=1)
+    rotations = se3.exp_so3(turn)
+    body = se3.from_rotation_translation(rotations, rotations @ [pivot, 0.0, 0.0])
+    T_a_b = random_pose(rng)
+    T_a_b[:3, 3] = [1.5, 0.5, 1.0]
+    noisy = [poses @ se3.exp_se3(0.001 * rng.normal(size=(600, 6)))
+             for poses in (body, body @ T_a_b)]
+    found = solve_pairs(as_pairs(times, *noisy), AUTO)
+    assert found.scale == 1.0
+    assert absolute_errors(found.T_a_b, T_a_b).e_at < 0.01

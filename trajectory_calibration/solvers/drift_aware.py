@@ -26,7 +26,8 @@ from trajectory_calibration.solvers.drift.covariance import (
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
 from trajectory_calibration.solvers.drift.fit import Fit
 from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
-from trajectory_calibration.solvers.drift.selection import estimate, optional_terms
+from trajectory_calibration.solvers.drift.selection import COARSE, estimate, optional_terms
+from trajectory_calibration.solvers.drift.unit import unit_of_b
 from trajectory_calibration.solvers.solution import Solution
 
 # Fewer pose pairs than this do not tell noise from extrinsic.
@@ -56,7 +57,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     """Return the most likely extrinsic of pose pairs.
 
     ``terms`` says 'fixed', 'estimate' or 'auto' for 'scale', 'systematic_drift' and
-    'time_offset'; raises as ``solve``.
+    'time_offset'; raises as ``solve``. A scale that is not fixed is found whatever the unit.
     """
     if len(pairs) < MIN_POSES:
         raise SolverError(
@@ -65,11 +66,12 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     _require_motion(pairs)
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        fit = estimate(pairs, terms)
+        unit = 1.0 if terms['scale'] == 'fixed' else _unit(pairs)
+        fit = estimate(pairs.scaled(unit), terms)
         lags = check_lags(fit)
         covariance = parameter_covariance(fit, lags.excess)
         of_extrinsic = extrinsic_covariance(fit, optional_terms(terms), lags.excess)
-    diagnosis = diagnose(fit, covariance, pairs.stamps_ns)
+    diagnosis = diagnose(fit, covariance, pairs.stamps_ns, unit)
     return Solution(
         T_a_b=fit.state.T_a_b,
         cost=fit.evaluation.objective,
@@ -77,10 +79,23 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
         warnings=(
             *warnings_of(diagnosis), *lags.warnings(fit.state.T_a_b), *_unsettled(fit)),
-        scale=fit.state.scale,
+        scale=unit * fit.state.scale,
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,
     )
+
+
+def _unit(pairs: PosePairs) -> float:
+    """Return metres of a per unit of b where that is not one, as well as a short fit tells it.
+
+    An error of scale on top of it is then as likely, and as large, as between other sensors.
+    """
+    unit = unit_of_b(pairs)
+    if unit == 1.0:
+        return unit
+    pairs = pairs.thinned(max(1, len(pairs) // COARSE))
+    rest = dict.fromkeys(TERM_COLUMNS, 'fixed')
+    return unit * estimate(pairs.scaled(unit), {**rest, 'scale': 'estimate'}).state.scale
 
 
 def _unsettled(fit: Fit) -> tuple[str, ...]:

@@ -14,6 +14,8 @@ from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
 
 # A step is named a jump from this probability on.
 _JUMP_PROBABILITY = 0.9
+# A scale that far from one is no percentage any more.
+_ANOTHER_UNIT = 0.3
 # Jumps that a warning names; the diagnosis holds all of them.
 _NAMED_JUMPS = 3
 
@@ -70,8 +72,13 @@ class Diagnosis:
         return asdict(self)
 
 
-def diagnose(fit: Fit, covariance: FloatArray, stamps_ns: NDArray[np.int64]) -> Diagnosis:
-    """Collect the identified noise and terms; ``covariance`` is (m, m), stamps are (N,)."""
+def diagnose(
+    fit: Fit, covariance: FloatArray, stamps_ns: NDArray[np.int64], unit: float = 1.0,
+) -> Diagnosis:
+    """Collect the identified noise and terms; ``covariance`` is (m, m), stamps are (N,).
+
+    The fit was to positions of b that were multiplied by ``unit``.
+    """
     deviation = np.sqrt(np.diag(covariance))
     columns = columns_of(fit.terms)
 
@@ -90,8 +97,8 @@ def diagnose(fit: Fit, covariance: FloatArray, stamps_ns: NDArray[np.int64]) -> 
         walk_turn_m=noise[4],
         walk_turn_rad=noise[5],
         jumps=_jumps(fit, stamps_ns),
-        scale=fit.state.scale,
-        scale_deviation=scale[0] if scale else None,
+        scale=unit * fit.state.scale,
+        scale_deviation=unit * scale[0] if scale else None,
         time_offset_s=fit.state.time_offset,
         time_offset_deviation_s=offset[0] if offset else None,
         systematic_drift=tuple(fit.state.systematic_drift.tolist()),
@@ -110,10 +117,15 @@ def _jumps(fit: Fit, stamps_ns: NDArray[np.int64]) -> tuple[Jump, ...]:
 def warnings_of(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Put into sentences what a person should know of the data."""
     found = []
-    if diagnosis.scale_deviation is not None:
-        found.append(
-            f'the two trajectories disagree in scale by {diagnosis.scale - 1:+.2%}'
-            f' (+- {diagnosis.scale_deviation:.2%}): the scale of b was corrected')
+    off = diagnosis.scale - 1
+    known = ('' if diagnosis.scale_deviation is None
+             else f' (+- {diagnosis.scale_deviation / diagnosis.scale:.2%})')
+    if abs(off) > _ANOTHER_UNIT:
+        found.append('b is in another unit of length: its positions were multiplied by '
+                     f'{diagnosis.scale:.6g}{known}')
+    elif known:
+        found.append(f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
+                     'b was corrected')
     if diagnosis.time_offset_deviation_s is not None:
         found.append(
             f'clock offset {1e3 * diagnosis.time_offset_s:+.1f} ms'

@@ -53,6 +53,10 @@ _LARGEST_TERM_STEP = {'scale': 0.2, 'systematic_drift': 0.05, 'time_offset': 0.0
 _LARGEST_DRIFT = 0.5
 
 
+class RunawayScaleError(SolverError):
+    """The scale went where no scale is: the motion does not hold it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A minimum of the objective, or where the iterations ended.
@@ -125,7 +129,7 @@ def fit(
     revived = False
     for iteration in range(1, max_iterations + 1):
         if not 0.5 < state.scale / first_scale < 2:
-            raise SolverError(
+            raise RunawayScaleError(
                 f'drift_aware: the scale runs away ({state.scale / first_scale:.2f} times what '
                 'the trajectories span); needed steps longer than their noise, or scale fixed')
         evaluation = _evaluate(chain, state, noise, columns, power)

@@ -16,7 +16,14 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import quadratic
-from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, Fit, fit, settled
+from trajectory_calibration.solvers.drift.fit import (
+    columns_of,
+    first_noise,
+    Fit,
+    fit,
+    RunawayScaleError,
+    settled,
+)
 from trajectory_calibration.solvers.drift.likelihood import predict_step
 from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
 
@@ -33,8 +40,6 @@ _RACE = 4
 _COMPARED = 0.5
 # Where a chain is only a means to a start, negligible means this many times more.
 _ROUGH = 5.0
-# A scale that differs by less than this is left to the likelihood to find.
-_SIMILAR = 0.5
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
 # percent and one hundredth of a second. The tails leave room for more.
 PRIOR_SCALE = {'scale': 0.01, 'systematic_drift': 0.01, 'time_offset': 0.01}
@@ -67,17 +72,21 @@ def estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
         The equations cannot be solved.
 
     """
+    try:
+        return _estimate(pairs, terms)
+    except RunawayScaleError:
+        if terms['scale'] != 'auto':
+            raise
+        # Where one sensor hardly moves, shrinking the moves of the other shrinks their noise.
+        return _estimate(pairs, {**terms, 'scale': 'fixed'})
+
+
+def _estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     wanted = tuple(name for name in TERM_COLUMNS if terms[name] == 'estimate')
     optional = tuple(name for name in TERM_COLUMNS if terms[name] == 'auto')
-    scale = 1.0 if terms['scale'] == 'fixed' else _relative_scale(pairs)
-    if abs(scale - 1) < _SIMILAR:
-        scale = 1.0
-    elif 'scale' in optional:
-        # Other units, or a single camera: nothing fits without it.
-        wanted = ('scale', *wanted)
     every = max(1, len(pairs) // COARSE)
     coarse = Chain.from_pairs(pairs, every)
-    best = _best_start(pairs, every, coarse, scale)
+    best = _best_start(pairs, every, coarse)
     if wanted:
         best = _with_terms(best, wanted)
     best = _grow(best, optional)
@@ -104,10 +113,10 @@ def _refine(best: Fit, chain: Chain, finer: float, *, final: bool) -> Fit:
     return fit(chain, state, noise, best.terms, tolerance=1.0 if final else _ROUGH)
 
 
-def _best_start(pairs: PosePairs, every: int, chain: Chain, scale: float) -> Fit:
+def _best_start(pairs: PosePairs, every: int, chain: Chain) -> Fit:
     """Return the most likely fit over several starts, all terms fixed."""
-    fits = [_tried(chain, State.start(chain, T_a_b, scale), white_share)
-            for T_a_b, white_share in starts(pairs, every, scale)]
+    fits = [_tried(chain, State.start(chain, T_a_b), white_share)
+            for T_a_b, white_share in _starts(pairs.thinned(every))]
     ahead = [candidate for candidate in fits if candidate is not None]
     if not ahead:
         raise SolverError(
@@ -135,20 +144,14 @@ def _with_terms(best: Fit, terms: tuple[str, ...]) -> Fit:
     return min(plain, revived, key=lambda candidate: candidate.evaluation.objective)
 
 
-def starts(pairs: PosePairs, every: int, scale: float) -> list[tuple[FloatArray, float]]:
+def _starts(pairs: PosePairs) -> list[tuple[FloatArray, float]]:
     """Return extrinsics and shares of white noise: the least-squares answers of a few lags."""
-    thinned = PosePairs(pairs.stamps_ns[::every], pairs.poses_a[::every],
-                        pairs.poses_b[::every], pairs.summary)
     found = []
     failure: MotionError | None = None
     for lag, white_share in _START_LAGS.items():
-        if len(thinned) - lag < 2:
+        if len(pairs) - lag < 2:
             continue
-        motions = select_motions(thinned, f'B{lag}')
-        B = motions.B.copy()
-        B[:, :3, 3] *= scale
-        motions = replace(motions, B=B)
-        G = quadratic.gram(motions)
+        G = quadratic.gram(select_motions(pairs, f'B{lag}'))
         # A direction of the translation that the motion leaves free starts at zero.
         G[range(9, 12), range(9, 12)] += 1e-9 * max(float(np.trace(G[9:12, 9:12])), 1e-12)
         try:
@@ -158,15 +161,6 @@ def starts(pairs: PosePairs, every: int, scale: float) -> list[tuple[FloatArray,
     if failure is not None and not found:
         raise failure
     return found
-
-
-def _relative_scale(pairs: PosePairs) -> float:
-    """Return how much farther a moved than b, over times in which both moved far."""
-    lag = max(1, len(pairs) // 5)
-    moved_a, moved_b = (float(np.median(np.linalg.norm(
-        poses[lag:, :3, 3] - poses[:-lag, :3, 3], axis=1)))
-        for poses in (pairs.poses_a, pairs.poses_b))
-    return moved_a / moved_b if moved_a > 0 and moved_b > 0 else 1.0
 
 
 def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
