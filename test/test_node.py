@@ -12,6 +12,7 @@ ros = pytest.importorskip(
 
 # The fastest solver; the others run where it matters that they do.
 TAYLOR = ('-p', 'solver:=taylor')
+DNL = ('-p', 'solver:=dnl', '-p', 'reference:=B5')
 
 
 @pytest.mark.parametrize('types', [
@@ -369,6 +370,27 @@ def test_parameters_are_refused_or_taken_at_run_time(tmp_path):
     assert answer.success and answer.message.startswith('roof_lidar -> camera')
     assert '98 motions of 100 poses' in answer.message
     assert types[0].integer_value == 1 and types[1].string_value == 'B2'
+
+
+def test_a_prior_is_set_and_taken_out_one_parameter_at_a_time(tmp_path):
+    height = ros.T_A_B[2, 3] + 0.01
+    steps = [('prior_translation', f'-,-,{height}'), ('prior_translation_std', 0.001),
+             ('prior_translation', f'-,-,{height}'), ('prior_rotation_std', '1'),
+             ('prior_translation_std', ''), ('prior_translation', ''),
+             ('prior_translation_std', '')]
+    # A number in YAML, which ROS makes a double of.
+    with ros.running(tmp_path, *DNL, '-p', 'prior_rotation_std:=0.5') as (_, client):
+        client.publish_drive(*ros.drive(planar=True))
+        results, answers = [], []
+        for name, value in steps:
+            results.append(client.set_parameter(name, value))
+            answers.append(client.call('calibrate'))
+    assert [result.successful for result in results] == [
+        False, True, True, True, False, True, True]
+    assert 'set prior_translation_std first' in results[0].reason
+    # Flat ground leaves the height open where nobody gives it.
+    assert [answer.success for answer in answers] == [
+        False, False, True, True, True, False, False]
 
 
 def test_results_are_saved_and_restored(tmp_path):
