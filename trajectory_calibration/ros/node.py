@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import signal
-import sys
 import time
-from types import FrameType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -34,6 +31,7 @@ from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.outputs import ResultPublisher
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
+from trajectory_calibration.ros.signals import StopSignals
 from trajectory_calibration.ros.store import ResultStore
 from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
 from trajectory_calibration.ros.worker import SolverProcess, StoppedError
@@ -288,23 +286,6 @@ class CalibrationNode(Node):
         return status
 
 
-class _StopSignals:
-    """Turns SIGINT and SIGTERM into a flag.
-
-    The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
-    that the loop reads ends every run the same way.
-    """
-
-    def __init__(self) -> None:
-        self.received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.received = True
-
-
 def _init(args: Sequence[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -312,9 +293,9 @@ def _init(args: Sequence[str] | None) -> None:
         raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; return the exit status."""
-    stop = _StopSignals()
+def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM, which ``stop`` notes; return the exit status."""
+    stop = stop or StopSignals()
     node = None
     try:
         _init(args)
@@ -332,7 +313,3 @@ def main(args: Sequence[str] | None = None) -> int:
             node.shutdown()
         rclpy.try_shutdown()
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())
