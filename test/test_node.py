@@ -247,12 +247,12 @@ def test_bad_messages_are_counted_and_harmless(tmp_path):
         client.wait(lambda: 'poses refused' in node.log, 'the log to mention it')
         counts = {key: client.value('trajectory_a', f'refused: {key}') for key in (
             'not finite', 'not a unit quaternion', 'duplicate stamp', 'out of order',
-            'stray stamp', 'other frame')}
+            'no stamp', 'other frame')}
     assert answer.success, answer.message
     assert '7 poses refused' in answer.message
     assert counts == {
         'not finite': '1', 'not a unit quaternion': '1', 'duplicate stamp': '1',
-        'out of order': '2', 'stray stamp': '1', 'other frame': '1'}
+        'out of order': '2', 'no stamp': '1', 'other frame': '1'}
 
 
 @pytest.mark.parametrize('type_name', ['Odometry', 'PoseStamped', 'Path'])
@@ -315,6 +315,36 @@ def test_a_republished_path_replaces_the_old_one(tmp_path):
         assert answer.success, answer.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
+
+
+def test_messages_without_stamps_are_named_as_the_cause(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        _, poses, _ = ros.drive(poses=20)
+        a, b = client.publisher('trajectory_a'), client.publisher('trajectory_b', 'Path')
+        for pose in poses:
+            a.publish(ros.to_message('Odometry', 0, pose))
+        b.publish(ros.to_path([0] * 20, poses))
+        for name in ('trajectory_a', 'trajectory_b'):
+            client.wait(lambda name=name: client.value(name, 'refused: no stamp') == '20', name)
+            status = client.status(name)
+            assert status.level == b'\x01' and '20 no stamp' in status.message
+        answer = client.call('calibrate')
+    assert not answer.success
+    assert '0 poses received' in answer.message and '20 no stamp' in answer.message
+
+
+def test_a_path_keeps_to_the_bounds_and_an_empty_one_replaces_nothing(tmp_path):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'max_age:=2.0') as (_, client):
+        stamps_ns, poses, _ = ros.drive()
+        a = client.publisher('trajectory_a', 'Path')
+        a.publish(ros.to_path(stamps_ns, poses))
+        client.wait(lambda: client.value('trajectory_a', 'poses') == '21', 'two seconds of it')
+        a.publish(ros.to_path([], []))
+        client.wait(lambda: client.value(
+            'trajectory_a', 'refused: path without a usable pose') == '1', 'the count')
+        assert client.value('trajectory_a', 'poses') == '21'
+        a.publish(ros.to_path(stamps_ns, poses, 'elsewhere'))
+        client.wait(lambda: client.value('trajectory_a', 'frame changes') == '1', 'the change')
 
 
 def test_both_qualities_of_service_and_a_remapped_topic_match(tmp_path):

@@ -55,6 +55,7 @@ class InputMonitor:
             **{f'refused: {why.value}': count for why, count in buffer.refused.items()},
             'dropped while still': buffer.still,
             'clock jumps': buffer.clock_jumps,
+            'frame changes': buffer.frame_changes,
             'memory_mib': f'{buffer.nbytes / 2**20:.2f}',
         })
         return status
@@ -73,6 +74,9 @@ class InputMonitor:
         silent = now_s - self._last_message_s
         if silent > _SILENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
+        if self._buffer.messages and not len(self._buffer):
+            return DiagnosticStatus.WARN, (
+                f'{topic.text}: none of its poses can be used: {self._buffer.refusals()}')
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 
