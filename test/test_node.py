@@ -493,6 +493,38 @@ def test_clocks_that_differ_are_named_before_anybody_drives_in_vain(tmp_path):
     assert advice.startswith('the stamps of a and b are 3595.100 s apart')
 
 
+def test_the_diagnostics_say_what_pairs_and_which_clock_offset_was_found(tmp_path):
+    def values(client):
+        return {v.key: v.value for v in client.status('calibration').values}
+
+    with ros.running(tmp_path, *TAYLOR, '-p', 'time_offset:=0.2', '-p',
+                     'time_offset_mode:=estimate') as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive(poses=400, rate_hz=20.0)
+        a, b = client.publisher('trajectory_a'), client.publisher('trajectory_b')
+        for k, (stamp, pose_a, pose_b) in enumerate(
+                zip(stamps_ns, poses_a, poses_b, strict=True)):
+            if not 100 <= k < 130:
+                a.publish(ros.to_message('Odometry', stamp, pose_a, 'map', 'lidar'))
+            b.publish(ros.to_message('Odometry', stamp - 3 * 10**8, pose_b, 'odom', 'camera'))
+        client.wait_for_poses(370, 400)
+        client.wait(lambda: values(client)['association: pairs'] != '0', 'the pairs')
+        before = values(client)
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        client.wait(lambda: values(client)['clock_offset_s'], 'the clock offset')
+        after = values(client)
+        client.call('reset')
+        client.wait(lambda: not values(client)['clock_offset_s'], 'the reset')
+    # With the setting, b begins two poses before a, and the gap of 1.55 s holds 30 of b.
+    counts = [before[f'association: {name}'] for name in ('pairs', 'in gaps', 'outside')]
+    assert counts == ['368', '30', '2']
+    assert (before['time_offset'], before['clock_offset_s']) == ('0.2000', '')
+    assert 'association of the last calibration' not in before
+    assert float(after['clock_offset_s']) == pytest.approx(0.3, abs=2e-3)
+    assert after['time_offset'] == '0.2000'
+    assert ' pairs of 370 and 400 poses' in after['association of the last calibration']
+
+
 def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
     with ros.running(tmp_path, *TAYLOR, '-p', 'auto_calibrate:=true') as (node, client):
         extrinsic = client.latched()

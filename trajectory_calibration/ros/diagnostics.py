@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.ros.excitation import Excitation
+from trajectory_calibration.ros.pairing import Pairing
 from trajectory_calibration.ros.topics import TopicStatus
 from trajectory_calibration.se3 import FloatArray
 
@@ -88,6 +90,21 @@ def excitation_values(excitation: Excitation) -> dict[str, object]:
         'predicted_translation_std_m_xyz': _three(excitation.translation_std, 4),
         'predicted_rotation_std_deg_xyz': _three(excitation.rotation_std_deg, 3),
     }
+
+
+def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[str, object]:
+    """Return where the poses of b fall now, and how the last calibration paired them."""
+    values: dict[str, object] = {
+        'association: pairs': pairing.pairs,
+        'association: in gaps': pairing.in_gaps,
+        'association: outside': pairing.outside,
+    }
+    if result is not None:
+        last = result.association
+        values['association of the last calibration'] = (
+            f'{last.method}: {last.pairs} pairs of {last.poses_a} and {last.poses_b} poses, '
+            f'{last.in_gaps} in gaps, {last.outside} outside, {last.between} between')
+    return values
 
 
 def _three(values: FloatArray, digits: int) -> str:

@@ -24,11 +24,13 @@ from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
     key_values,
+    pairing_values,
     time_apart_s,
 )
 from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.outputs import ResultPublisher
+from trajectory_calibration.ros.pairing import count_pairs
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
 from trajectory_calibration.ros.signals import StopSignals
@@ -235,6 +237,14 @@ class CalibrationNode(Node):
             self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
             round(values['max_gap'] * 1e9)), offset_s
 
+    def _clock_offset(self) -> str:
+        """Return the clock offset that a calibration since the last reset found, or ''."""
+        result = self._result
+        if (result is None or not self._calibrated
+                or result.config.mode('time_offset') == 'fixed'):
+            return ''
+        return f'{result.time_offset_s:.4f}'
+
     def _has_moved_on(self, excitation: Excitation) -> bool:
         """Return whether the data differ much from those of the last calibration."""
         # Fewer motions are those of a buffer that started anew.
@@ -276,7 +286,11 @@ class CalibrationNode(Node):
         status.values = key_values({
             'solver': values['solver'],
             'overlap_s': f'{max(0.0, -apart_s):.3f}',
-            'clock_offset_s': f'{offset_s:.4f}',
+            'time_offset': f'{values["time_offset"]:.4f}',
+            'clock_offset_s': self._clock_offset(),
+            **pairing_values(count_pairs(
+                session.buffer_a, session.buffer_b, round(offset_s * 1e9),
+                round(values['max_gap'] * 1e9)), result),
             'advice': advice,
             'last_failure': self._last_failure,
             **excitation_values(excitation),
