@@ -15,6 +15,7 @@ import random
 import shutil
 import subprocess
 import sys
+import textwrap
 import time
 
 import numpy as np
@@ -166,7 +167,7 @@ def calibrate_online(node: subprocess.Popen) -> Answer:
         if not call.result().success:
             raise DemoError(f'~/calibrate failed: {call.result().message}')
         print('3. called /trajectory_calibration/calibrate; it answered:')
-        print(f'   {call.result().message}')
+        print(textwrap.indent(call.result().message, '   '))
         # Subscribed only now: the extrinsic is latched.
         client.create_subscription(
             TransformStamped, '/trajectory_calibration/extrinsic', received.append,

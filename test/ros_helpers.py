@@ -115,7 +115,7 @@ class NodeProcess:
                        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'OMP_NUM_THREADS': '1'}
         with self.log_path.open('wb') as log:
             self.process = subprocess.Popen(
-                [sys.executable, '-m', 'trajectory_calibration.ros.node', '--ros-args',
+                [sys.executable, '-m', 'trajectory_calibration.ros.executable', '--ros-args',
                  '-r', f'__ns:={namespace}', *arguments],
                 stdout=log, stderr=subprocess.STDOUT, env=environment)
 

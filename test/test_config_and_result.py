@@ -42,7 +42,8 @@ def test_a_default_is_what_the_paper_says():
 @pytest.mark.parametrize('values, message', [
     ({'solver': 'horaud'}, "solver 'horaud' is unknown; needed one of .*dnl, dnlo, ali, park"),
     ({'reference': 'E5'}, "reference 'E5' is unknown"),
-    ({'reference': 5}, 'reference is 5, needed a value of type str'),
+    ({'reference': 5}, "reference '5' is unknown"),
+    ({'reference': None}, 'reference is None, needed a value of type str'),
     ({'max_gap': -1.0}, 'max_gap is -1.0, needed 0 to 3600'),
     ({'max_gap': float('nan')}, 'max_gap is nan'),
     ({'max_gap': '0.5'}, "max_gap is '0.5', needed a value of type float"),

@@ -12,6 +12,7 @@ ros = pytest.importorskip(
 
 # The fastest solver; the others run where it matters that they do.
 TAYLOR = ('-p', 'solver:=taylor')
+DNL = ('-p', 'solver:=dnl', '-p', 'reference:=B5')
 
 
 @pytest.mark.parametrize('types', [
@@ -246,12 +247,12 @@ def test_bad_messages_are_counted_and_harmless(tmp_path):
         client.wait(lambda: 'poses refused' in node.log, 'the log to mention it')
         counts = {key: client.value('trajectory_a', f'refused: {key}') for key in (
             'not finite', 'not a unit quaternion', 'duplicate stamp', 'out of order',
-            'stray stamp', 'other frame')}
+            'no stamp', 'other frame')}
     assert answer.success, answer.message
     assert '7 poses refused' in answer.message
     assert counts == {
         'not finite': '1', 'not a unit quaternion': '1', 'duplicate stamp': '1',
-        'out of order': '2', 'stray stamp': '1', 'other frame': '1'}
+        'out of order': '2', 'no stamp': '1', 'other frame': '1'}
 
 
 @pytest.mark.parametrize('type_name', ['Odometry', 'PoseStamped', 'Path'])
@@ -316,6 +317,36 @@ def test_a_republished_path_replaces_the_old_one(tmp_path):
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
 
 
+def test_messages_without_stamps_are_named_as_the_cause(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        _, poses, _ = ros.drive(poses=20)
+        a, b = client.publisher('trajectory_a'), client.publisher('trajectory_b', 'Path')
+        for pose in poses:
+            a.publish(ros.to_message('Odometry', 0, pose))
+        b.publish(ros.to_path([0] * 20, poses))
+        for name in ('trajectory_a', 'trajectory_b'):
+            client.wait(lambda name=name: client.value(name, 'refused: no stamp') == '20', name)
+            status = client.status(name)
+            assert status.level == b'\x01' and '20 no stamp' in status.message
+        answer = client.call('calibrate')
+    assert not answer.success
+    assert '0 poses received' in answer.message and '20 no stamp' in answer.message
+
+
+def test_a_path_keeps_to_the_bounds_and_an_empty_one_replaces_nothing(tmp_path):
+    with ros.running(tmp_path, *TAYLOR, '-p', 'max_age:=2.0') as (_, client):
+        stamps_ns, poses, _ = ros.drive()
+        a = client.publisher('trajectory_a', 'Path')
+        a.publish(ros.to_path(stamps_ns, poses))
+        client.wait(lambda: client.value('trajectory_a', 'poses') == '21', 'two seconds of it')
+        a.publish(ros.to_path([], []))
+        client.wait(lambda: client.value(
+            'trajectory_a', 'refused: path without a usable pose') == '1', 'the count')
+        assert client.value('trajectory_a', 'poses') == '21'
+        a.publish(ros.to_path(stamps_ns, poses, 'elsewhere'))
+        client.wait(lambda: client.value('trajectory_a', 'frame changes') == '1', 'the change')
+
+
 def test_both_qualities_of_service_and_a_remapped_topic_match(tmp_path):
     arguments = ('-r', 'trajectory_a:=lidar_slam/odometry', '-p', 'topic_b:=visual_slam/pose')
     with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):
@@ -369,6 +400,27 @@ def test_parameters_are_refused_or_taken_at_run_time(tmp_path):
     assert answer.success and answer.message.startswith('roof_lidar -> camera')
     assert '98 motions of 100 poses' in answer.message
     assert types[0].integer_value == 1 and types[1].string_value == 'B2'
+
+
+def test_a_prior_is_set_and_taken_out_one_parameter_at_a_time(tmp_path):
+    height = ros.T_A_B[2, 3] + 0.01
+    steps = [('prior_translation', f'-,-,{height}'), ('prior_translation_std', 0.001),
+             ('prior_translation', f'-,-,{height}'), ('prior_rotation_std', '1'),
+             ('prior_translation_std', ''), ('prior_translation', ''),
+             ('prior_translation_std', '')]
+    # A number in YAML, which ROS makes a double of.
+    with ros.running(tmp_path, *DNL, '-p', 'prior_rotation_std:=0.5') as (_, client):
+        client.publish_drive(*ros.drive(planar=True))
+        results, answers = [], []
+        for name, value in steps:
+            results.append(client.set_parameter(name, value))
+            answers.append(client.call('calibrate'))
+    assert [result.successful for result in results] == [
+        False, True, True, True, False, True, True]
+    assert 'set prior_translation_std first' in results[0].reason
+    # Flat ground leaves the height open where nobody gives it.
+    assert [answer.success for answer in answers] == [
+        False, False, True, True, True, False, False]
 
 
 def test_results_are_saved_and_restored(tmp_path):
@@ -439,6 +491,38 @@ def test_clocks_that_differ_are_named_before_anybody_drives_in_vain(tmp_path):
         client.wait(lambda: client.value('calibration', 'overlap_s') == '4.900', 'the overlap')
         assert client.call('calibrate').success
     assert advice.startswith('the stamps of a and b are 3595.100 s apart')
+
+
+def test_the_diagnostics_say_what_pairs_and_which_clock_offset_was_found(tmp_path):
+    def values(client):
+        return {v.key: v.value for v in client.status('calibration').values}
+
+    with ros.running(tmp_path, *TAYLOR, '-p', 'time_offset:=0.2', '-p',
+                     'time_offset_mode:=estimate') as (_, client):
+        stamps_ns, poses_a, poses_b = ros.drive(poses=400, rate_hz=20.0)
+        a, b = client.publisher('trajectory_a'), client.publisher('trajectory_b')
+        for k, (stamp, pose_a, pose_b) in enumerate(
+                zip(stamps_ns, poses_a, poses_b, strict=True)):
+            if not 100 <= k < 130:
+                a.publish(ros.to_message('Odometry', stamp, pose_a, 'map', 'lidar'))
+            b.publish(ros.to_message('Odometry', stamp - 3 * 10**8, pose_b, 'odom', 'camera'))
+        client.wait_for_poses(370, 400)
+        client.wait(lambda: values(client)['association: pairs'] != '0', 'the pairs')
+        before = values(client)
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        client.wait(lambda: values(client)['clock_offset_s'], 'the clock offset')
+        after = values(client)
+        client.call('reset')
+        client.wait(lambda: not values(client)['clock_offset_s'], 'the reset')
+    # With the setting, b begins two poses before a, and the gap of 1.55 s holds 30 of b.
+    counts = [before[f'association: {name}'] for name in ('pairs', 'in gaps', 'outside')]
+    assert counts == ['368', '30', '2']
+    assert (before['time_offset'], before['clock_offset_s']) == ('0.2000', '')
+    assert 'association of the last calibration' not in before
+    assert float(after['clock_offset_s']) == pytest.approx(0.3, abs=2e-3)
+    assert after['time_offset'] == '0.2000'
+    assert ' pairs of 370 and 400 poses' in after['association of the last calibration']
 
 
 def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):

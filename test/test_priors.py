@@ -45,6 +45,24 @@ def test_reading():
     assert not parse_prior('', '', '', '').given
 
 
+def test_a_standard_deviation_alone_says_nothing_so_that_each_can_be_set_alone():
+    for std in ('0.01', '0', '0.01,-,0.02'):
+        prior = parse_prior('', std, ' ', std)
+        assert not prior.given
+        np.testing.assert_array_equal(prior.rotation, np.eye(3))
+    with pytest.raises(ConfigError, match='set prior_translation_std first'):
+        parse_prior('0.3,0,0', '', '', '')
+
+
+def test_a_number_serves_as_text():
+    config = CalibrationConfig(prior_translation='-,-,0.1', prior_translation_std=0.01)
+    assert config.prior_translation_std == '0.01'
+    np.testing.assert_array_equal(config.prior.std[:3], [np.inf, np.inf, 0.01])
+    assert CalibrationConfig(prior_translation_std=0).prior_translation_std == '0'
+    with pytest.raises(ConfigError, match='prior_translation_std is True, needed'):
+        CalibrationConfig(prior_translation_std=True)
+
+
 def test_one_number_stands_for_all_that_are_given():
     np.testing.assert_array_equal(
         parse_prior('0.3,-,0.1', '0.02', '', '').translation_std, [0.02, np.inf, 0.02])
@@ -52,7 +70,8 @@ def test_one_number_stands_for_all_that_are_given():
 
 @pytest.mark.parametrize('values', [
     ('0.3,0.1', '0.1', '', ''), ('a,b,c', '0.1', '', ''), ('0.3,0,0', '', '', ''),
-    ('', '0.1', '', ''), ('0.3,0,nan', '0.1', '', ''), ('0.3,0,0', '-0.1', '', ''),
+    ('', '0.1,0.1', '', ''), ('', '-0.1', '', ''), ('0.3,0,nan', '0.1', '', ''),
+    ('0.3,0,0', '-0.1', '', ''),
     ('0.3,0,0', '0.1,-,0.1', '', ''), ('-,0,0', '0.1,0.1,0.1', '', ''),
     ('', '', '0,-,0', '1'), ('', '', '0,0,0', ''), ('', '', '1', '1'),
 ])

@@ -81,7 +81,7 @@ def test_poses_that_are_none_are_counted(pose, why):
     assert why.value in buffer.refusals()
     # In a Path the same, and none of them costs the poses around it.
     good = np.column_stack([np.arange(10.0), np.zeros((10, 5)), np.ones(10)])
-    buffer.replace(np.arange(11) * SECOND, np.vstack([good, pose]), ('map', ''))
+    buffer.replace(np.arange(1, 12) * SECOND, np.vstack([good, pose]), ('map', ''))
     assert len(buffer) == 10
     assert buffer.refused[why] == sum(buffer.refused.values()) == 1
 
@@ -113,7 +113,7 @@ def test_late_stamps_are_counted(offset_s, why):
     assert buffer.refused[why] == 1
 
 
-@pytest.mark.parametrize('stray_ns', [0, 50 * SECOND, 10**18])
+@pytest.mark.parametrize('stray_ns', [1, 50 * SECOND, 10**18])
 def test_a_stray_stamp_costs_nothing_but_itself(stray_ns):
     buffer = filled(10)
     newest = buffer.span_ns[1]
@@ -199,8 +199,80 @@ def test_replace_keeps_the_good_poses_in_order():
     assert {why: count for why, count in buffer.refused.items() if count} == {
         Refusal.NOT_FINITE: 1, Refusal.NOT_UNIT: 1, Refusal.DUPLICATE: 1}
     assert '3 poses refused' in track.warnings[0]
-    buffer.replace(stamps_ns[:0], poses[:0], ('map', ''))
-    assert len(buffer) == 0 and buffer.span_ns is None
+
+
+@pytest.mark.parametrize('standing', [False, True])
+@pytest.mark.parametrize('limits', [
+    BufferLimits(), BufferLimits(max_age_s=2.0), BufferLimits(max_poses=15),
+    BufferLimits(max_age_s=7.0, still_after_s=0.5), BufferLimits(still_distance=0.0)])
+def test_a_path_is_bounded_and_thinned_as_its_poses_one_by_one_would_be(limits, standing):
+    x = 0.1 * np.arange(200)
+    if standing:
+        x[50:120], x[170:] = x[50], x[170]
+    stamps_ns = 100 * SECOND + np.arange(200) * (SECOND // 10)
+    one_by_one, whole = PoseBuffer(limits), PoseBuffer(limits)
+    for stamp_ns, at in zip(stamps_ns.tolist(), x.tolist(), strict=True):
+        one_by_one.append(stamp_ns, ('map', ''), along_x(at))
+    for _ in range(2):
+        whole.replace(stamps_ns, np.array([along_x(at) for at in x]), ('map', ''))
+    expected, found = one_by_one.snapshot('a'), whole.snapshot('a')
+    assert np.array_equal(found.stamps_ns, expected.stamps_ns)
+    assert np.array_equal(found.poses, expected.poses)
+    assert whole.still == one_by_one.still
+    assert found.warnings == expected.warnings == ()
+
+
+def row(count):
+    return np.column_stack([np.arange(float(count)), np.zeros((count, 5)), np.ones(count)])
+
+
+def test_a_path_without_a_usable_pose_replaces_nothing():
+    buffer = PoseBuffer(BufferLimits())
+    stamps_ns = np.arange(1, 9) * SECOND
+    buffer.replace(stamps_ns, row(8), ('map', ''))
+    generation = buffer.generation
+    buffer.replace(stamps_ns[:0], row(0), ('map', ''))
+    buffer.replace(0 * stamps_ns, row(8), ('other', ''))
+    assert (len(buffer), buffer.frames, buffer.generation) == (8, ('map', ''), generation)
+    assert buffer.refused[Refusal.EMPTY_PATH] == 2
+    assert buffer.refused[Refusal.NO_STAMP] == 8
+    buffer.replace(stamps_ns[:5], row(5), ('map', ''))
+    assert len(buffer) == 5
+    assert buffer.refusals() == '2 poses refused (2 path without a usable pose)'
+
+
+def test_a_path_in_another_frame_is_taken_and_counted():
+    buffer = PoseBuffer(BufferLimits())
+    for frame in ('map', 'map', 'odom', 'map'):
+        buffer.replace(np.arange(1, 9) * SECOND, row(8), (frame, ''))
+    assert buffer.frame_changes == 2
+    assert buffer.frames == ('map', '')
+    buffer.clear()
+    assert buffer.frame_changes == 0
+
+
+@pytest.mark.parametrize('wrong', [1, 2])
+def test_a_few_wrong_stamps_do_not_make_a_path_old(wrong):
+    buffer = PoseBuffer(BufferLimits())
+    stamps_ns = np.arange(1, 9) * SECOND
+    stamps_ns[:wrong] += 10**18
+    buffer.replace(stamps_ns, row(8), ('map', ''))
+    assert len(buffer) == 8 - wrong
+    assert buffer.refused[Refusal.STRAY_STAMP] == wrong
+
+
+def test_headers_without_stamps_are_named():
+    buffer = PoseBuffer(BufferLimits())
+    for k in range(20):
+        buffer.append(0, ('map', 'lidar'), along_x(0.1 * k))
+    assert len(buffer) == 0
+    assert buffer.refusals() == '20 poses refused (20 no stamp)'
+    with pytest.raises(TrajectoryError, match=r'0 poses received.*20 no stamp'):
+        buffer.snapshot('a').trajectory()
+    buffer.clear()
+    buffer.replace(np.array([0, 0, 1, 2]) * SECOND, row(4), ('map', ''))
+    assert len(buffer) == 2
+    assert buffer.refusals() == '2 poses refused (2 no stamp)'
 
 
 def test_too_few_poses_say_what_to_do():

@@ -1,7 +1,24 @@
-"""The executable where ROS is missing."""
+"""The executable where ROS is missing, and where a signal comes before the node is there."""
 
+import importlib.util
+import signal
 import subprocess
 import sys
+
+import pytest
+
+# Sends a signal to itself while ROS is imported.
+SIGNALLED = """
+import os, sys
+from trajectory_calibration.ros.executable import main
+class Finder:
+    def find_spec(self, name, *rest):
+        if name == 'rclpy.executors':
+            os.kill(os.getpid(), {number})
+            print('sent')
+sys.meta_path.insert(0, Finder())
+sys.exit(main())
+"""
 
 
 def test_without_ros_it_says_what_to_do():
@@ -13,3 +30,12 @@ def test_without_ros_it_says_what_to_do():
     assert done.stderr.startswith('error: the node needs ROS 2 Jazzy, found no ')
     assert done.stderr.count('\n') == 1
     assert 'source /opt/ros/jazzy/setup.bash' in done.stderr
+
+
+@pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is missing')
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_the_imports_is_a_clean_end(number):
+    done = subprocess.run(
+        [sys.executable, '-c', SIGNALLED.format(number=int(number))], capture_output=True,
+        text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, 'sent\n', '')

@@ -85,6 +85,14 @@ def test_noise_raises_nothing(msgtype, data):
 def test_a_wrong_stamp_in_a_path_costs_neither_memory_nor_the_motions_around_it():
     stamps_ns, poses, _ = ros.drive(poses=POSES, rate_hz=1.0)
     stamps_ns[-1] = 2_000_000_000 * 10**9
-    buffer = fed(cdr.PATH, [ros.serialize_message(ros.to_path(stamps_ns, poses))])
-    assert np.ptp(buffer.span_ns) > 10**18
+    message = ros.serialize_message(ros.to_path(stamps_ns, poses))
+    buffer = fed(cdr.PATH, [message])
+    assert np.ptp(buffer.span_ns) == (POSES - 2) * 10**9
+    assert buffer.refused[Refusal.STRAY_STAMP] == 1
+    # With an age that reaches so far, it is a pose like any other.
+    patient = PoseBuffer(BufferLimits(max_age_s=4e9))
+    path = cdr.parse_path(message)
+    patient.replace(path.stamps_ns, path.poses, (path.frame, ''))
+    assert np.ptp(patient.span_ns) > 10**18
+    assert ExcitationMonitor().update(patient, patient, 0, 10**9).motions == POSES - 2
     assert ExcitationMonitor().update(buffer, buffer, 0, 10**9).motions == POSES - 2

@@ -43,12 +43,14 @@ class Option:
     def check(self, value: Any) -> Any:
         """Return the value in this option's type; raise ConfigError where it does not fit.
 
-        Numbers of NumPy, which registers its types as these, become Python's own.
+        Numbers of NumPy, which registers its types as these, become Python's own. A number for
+        a text is its text: YAML and ROS make one of what a person types as '0.01'.
         """
         number = {float: Real, int: Integral}.get(self.kind)
         if number is not None and isinstance(value, number) and not isinstance(value, bool):
             value = self._convert(value)
-        elif self.kind is str and isinstance(value, str):
+        elif (self.kind is str and isinstance(value, (str, Real))
+              and not isinstance(value, bool)):
             value = str(value)
         if type(value) is not self.kind:
             raise ConfigError(

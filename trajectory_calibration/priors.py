@@ -74,10 +74,13 @@ def parse_prior(
 ) -> Prior:
     """Read a prior from the four settings; an empty text gives none.
 
+    A standard deviation without a value says nothing, so that whoever sets one parameter at a
+    time can begin with it.
+
     Raises
     ------
     ConfigError
-        Text that is not three numbers, a value without a standard deviation or the reverse.
+        Text that is not three numbers, a value without a standard deviation.
 
     """
     t, t_std = _component('prior_translation', translation, translation_std)
@@ -172,20 +175,21 @@ def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray
     """Return (3,) values, NaN where open, and (3,) widths, infinite where open."""
     if not values.strip() and not std.strip():
         return np.full(3, np.nan), np.full(3, np.inf)
-    if not (values.strip() and std.strip()):
-        missing = name if std.strip() else f'{name}_std'
-        raise ConfigError(f'{missing} is empty; {name} and {name}_std are needed together')
-    value = _three(name, values)
+    if not std.strip():
+        raise ConfigError(
+            f'{name}_std is empty, but {name} is {values!r}, needed both; set {name}_std first, '
+            'clear it last')
+    value = _three(name, values) if values.strip() else np.full(3, np.nan)
     width = _three(f'{name}_std', std)
+    if (width < 0).any():
+        raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
     if len(std.split(',')) == 1:
         width = np.where(np.isnan(value), np.nan, width)
     if (np.isnan(width) & ~np.isnan(value)).any() and name == 'prior_translation':
         raise ConfigError(f'{name}_std is {std!r}, needed a number for each one of {values!r}')
-    if (np.isnan(value) & ~np.isnan(width)).any():
+    if values.strip() and (np.isnan(value) & ~np.isnan(width)).any():
         raise ConfigError(f'{name} is {values!r}, needed a number for each one of {std!r}')
-    if (width < 0).any():
-        raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
-    return value, np.where(np.isnan(width), np.inf, width)
+    return value, np.where(np.isnan(value) | np.isnan(width), np.inf, width)
 
 
 def _three(name: str, text: str) -> FloatArray:

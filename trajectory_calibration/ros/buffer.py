@@ -35,6 +35,7 @@ _NO_FRAMES = ('', '')
 class Refusal(str, Enum):
     """Why a pose did not enter the buffer; the words of the diagnostics."""
 
+    NO_STAMP = 'no stamp'
     NOT_FINITE = 'not finite'
     NOT_UNIT = 'not a unit quaternion'
     TOO_FAR = 'too far away'
@@ -43,6 +44,11 @@ class Refusal(str, Enum):
     STRAY_STAMP = 'stray stamp'
     OTHER_FRAME = 'other frame'
     UNREADABLE = 'unreadable'
+    EMPTY_PATH = 'path without a usable pose'
+
+
+# Of these the unit is the message, not the pose.
+_OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
 
 
 @dataclass(frozen=True)
@@ -108,6 +114,7 @@ class PoseBuffer:
     messages : messages taken since the start or the last ``clear``.
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
+    frame_changes : times poses held gave way to poses in other frames.
     refused : count of refused poses for each Refusal.
     frames : of the messages held.
     generation : changes whenever poses were forgotten other than by age or number.
@@ -128,6 +135,7 @@ class PoseBuffer:
         self.messages = 0
         self.still = 0
         self.clock_jumps = 0
+        self.frame_changes = 0
         self.refused = dict.fromkeys(Refusal, 0)
         self._forget_poses()
 
@@ -155,7 +163,7 @@ class PoseBuffer:
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
         self.messages += 1
-        fault = _fault(pose)
+        fault = _fault(pose) if stamp_ns else Refusal.NO_STAMP
         if fault is not None:
             self.refused[fault] += 1
             return
@@ -163,7 +171,7 @@ class PoseBuffer:
             if len(self) >= CONFIRMATIONS:
                 self.refused[Refusal.OTHER_FRAME] += 1
                 return
-            self._forget_poses(frames)
+            self._change_frames(frames)
         step = stamp_ns - self._last_ns
         if 0 < step <= JUMP_NS or not len(self):
             self._drop_strays()
@@ -185,31 +193,66 @@ class PoseBuffer:
     ) -> None:
         """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
 
-        For a SLAM that publishes its optimised path again and again. The counts of refused
-        poses are those of this trajectory; that of unreadable messages goes on.
+        For a SLAM that publishes its optimised path again and again. The counts of refused and
+        dropped poses are those of this trajectory; those of messages go on. A trajectory without
+        a usable pose is counted and replaces nothing.
         """
-        self._forget_poses(frames)
         self.messages += 1
+        stamped = stamps_ns != 0
         finite = np.isfinite(poses).all(axis=1)
         # The square of a huge number is infinite, which is no unit length either.
         with np.errstate(over='ignore'):
             norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
         unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
         near = (np.abs(poses[:, :3]) <= MAX_POSITION).all(axis=1)
-        good = np.flatnonzero(finite & unit & near)
+        good = np.flatnonzero(stamped & finite & unit & near)
         order = good[np.argsort(stamps_ns[good], kind='stable')]
         first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
-        kept = order[first][-self._limits.max_poses:]
-        unreadable = self.refused[Refusal.UNREADABLE]
-        self.refused = dict.fromkeys(Refusal, 0) | {Refusal.UNREADABLE: unreadable}
-        self.refused[Refusal.NOT_FINITE] = int(np.count_nonzero(~finite))
-        self.refused[Refusal.NOT_UNIT] = int(np.count_nonzero(finite & ~unit))
-        self.refused[Refusal.TOO_FAR] = int(np.count_nonzero(finite & unit & ~near))
-        self.refused[Refusal.DUPLICATE] = int(np.count_nonzero(~first))
+        order = order[first]
+        strays = self._strays(stamps_ns[order])
+        self.refused = {why: self.refused[why] if why in _OF_MESSAGES else 0 for why in Refusal}
+        for why, refused in (
+                (Refusal.NO_STAMP, ~stamped),
+                (Refusal.NOT_FINITE, stamped & ~finite),
+                (Refusal.NOT_UNIT, stamped & finite & ~unit),
+                (Refusal.TOO_FAR, stamped & finite & unit & ~near),
+                (Refusal.DUPLICATE, ~first)):
+            self.refused[why] = int(np.count_nonzero(refused))
+        self.refused[Refusal.STRAY_STAMP] = strays
+        if not len(order):
+            self.refused[Refusal.EMPTY_PATH] += 1
+            return
+        self._change_frames(frames)
+        self._fill(stamps_ns[order][:len(order) - strays], poses[order][:len(order) - strays])
+
+    def _strays(self, stamps_ns: NDArray[np.int64]) -> int:
+        """Return how many of the last of the (N,) sorted stamps are wrong.
+
+        Fewer than CONFIRMATIONS are, if only without them so many poses are within the age.
+        """
+        for strays in range(min(CONFIRMATIONS, len(stamps_ns))):
+            rest = stamps_ns[:len(stamps_ns) - strays]
+            oldest = np.searchsorted(rest, rest[-1] - self._max_age_ns)
+            if len(rest) - oldest >= CONFIRMATIONS:
+                return strays
+        return 0
+
+    def _fill(self, stamps_ns: NDArray[np.int64], poses: FloatArray) -> None:
+        """Hold of a whole trajectory what would be left of its poses one by one."""
+        self.still = 0
+        kept: list[int] = []
+        for k, (stamp_ns, pose) in enumerate(zip(
+                stamps_ns.tolist(), map(tuple, poses.tolist()), strict=True)):
+            if self._stands(stamp_ns, pose):
+                kept[-1] = k
+                self.still += 1
+            else:
+                kept.append(k)
+            self._last_ns = stamp_ns
+        oldest = int(np.searchsorted(stamps_ns[kept], self._last_ns - self._max_age_ns))
+        kept = kept[oldest:][-self._limits.max_poses:]
         self._stamps, self._poses = stamps_ns[kept].astype(np.int64), poses[kept].astype(float)
         self._start, self._end = 0, len(kept)
-        if len(kept):
-            self._last_ns = int(self._stamps[-1])
 
     def snapshot(self, name: str, sensor_frame: str = '') -> Track:
         """Return a copy of what is held.
@@ -247,6 +290,11 @@ class PoseBuffer:
         self._anchor: tuple[int, PoseTuple] | None = None
         self._jump: list[tuple[int, PoseTuple]] = []
 
+    def _change_frames(self, frames: Frames) -> None:
+        if len(self) and frames != self.frames:
+            self.frame_changes += 1
+        self._forget_poses(frames)
+
     def _drop_strays(self) -> None:
         if self._jump:
             self.refused[Refusal.STRAY_STAMP] += len(self._jump)
@@ -267,15 +315,10 @@ class PoseBuffer:
             self._store(stamp, held)
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
-        self._last_ns = stamp_ns
-        if self._anchor is None or self._moved(self._anchor[1], pose):
-            self._anchor = stamp_ns, pose
-        elif (stamp_ns - self._anchor[0] > self._still_after_ns
-              and self._stamps[self._end - 1] > self._anchor[0]):
-            # The newest pose of a standstill replaces the one before: when motion resumes, the
-            # pose just before it is there to interpolate from.
+        if self._stands(stamp_ns, pose):
             self._end -= 1
             self.still += 1
+        self._last_ns = stamp_ns
         if self._end == len(self._stamps):
             self._make_room()
         self._stamps[self._end] = stamp_ns
@@ -285,6 +328,17 @@ class PoseBuffer:
         while (self._end - self._start > self._limits.max_poses
                or self._stamps[self._start] < oldest):
             self._start += 1
+
+    def _stands(self, stamp_ns: int, pose: PoseTuple) -> bool:
+        """Return whether the pose takes the place of the newest one: a standstill goes on.
+
+        When motion resumes, the pose just before it is there to interpolate from.
+        """
+        if self._anchor is None or self._moved(self._anchor[1], pose):
+            self._anchor = stamp_ns, pose
+            return False
+        anchor_ns = self._anchor[0]
+        return stamp_ns - anchor_ns > self._still_after_ns and self._last_ns > anchor_ns
 
     def _moved(self, before: PoseTuple, after: PoseTuple) -> bool:
         x, y, z = after[0] - before[0], after[1] - before[1], after[2] - before[2]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.ros.excitation import Excitation
+from trajectory_calibration.ros.pairing import Pairing
 from trajectory_calibration.ros.topics import TopicStatus
 from trajectory_calibration.se3 import FloatArray
 
@@ -55,6 +57,7 @@ class InputMonitor:
             **{f'refused: {why.value}': count for why, count in buffer.refused.items()},
             'dropped while still': buffer.still,
             'clock jumps': buffer.clock_jumps,
+            'frame changes': buffer.frame_changes,
             'memory_mib': f'{buffer.nbytes / 2**20:.2f}',
         })
         return status
@@ -73,6 +76,9 @@ class InputMonitor:
         silent = now_s - self._last_message_s
         if silent > _SILENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
+        if self._buffer.messages and not len(self._buffer):
+            return DiagnosticStatus.WARN, (
+                f'{topic.text}: none of its poses can be used: {self._buffer.refusals()}')
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 
@@ -84,6 +90,21 @@ def excitation_values(excitation: Excitation) -> dict[str, object]:
         'predicted_translation_std_m_xyz': _three(excitation.translation_std, 4),
         'predicted_rotation_std_deg_xyz': _three(excitation.rotation_std_deg, 3),
     }
+
+
+def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[str, object]:
+    """Return where the poses of b fall now, and how the last calibration paired them."""
+    values: dict[str, object] = {
+        'association: pairs': pairing.pairs,
+        'association: in gaps': pairing.in_gaps,
+        'association: outside': pairing.outside,
+    }
+    if result is not None:
+        last = result.association
+        values['association of the last calibration'] = (
+            f'{last.method}: {last.pairs} pairs of {last.poses_a} and {last.poses_b} poses, '
+            f'{last.in_gaps} in gaps, {last.outside} outside, {last.between} between')
+    return values
 
 
 def _three(values: FloatArray, digits: int) -> str:

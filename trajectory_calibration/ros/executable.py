@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import sys
 
+from trajectory_calibration.ros.signals import StopSignals
+
 
 def main() -> int:
     """Run the node; return its exit status, 2 where ROS cannot be imported."""
+    # Before the imports, which take longer than everything else up to the first pose.
+    stop = StopSignals()
     try:
         from trajectory_calibration.ros.node import main as run
     except ModuleNotFoundError as error:
@@ -17,4 +21,8 @@ def main() -> int:
             '/opt/ros/jazzy/setup.bash, or on a machine without ROS pip install '
             'ros-jazzy-common-interfaces "ros-jazzy-rclpy[fastrtps]"\n')
         return 2
-    return run()
+    return 0 if stop.received else run(stop=stop)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

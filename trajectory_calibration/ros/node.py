@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import signal
-import sys
 import time
-from types import FrameType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -27,13 +24,16 @@ from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
     key_values,
+    pairing_values,
     time_apart_s,
 )
 from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
 from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.outputs import ResultPublisher
+from trajectory_calibration.ros.pairing import count_pairs
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.session import CalibrationSession
+from trajectory_calibration.ros.signals import StopSignals
 from trajectory_calibration.ros.store import ResultStore
 from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
 from trajectory_calibration.ros.worker import SolverProcess, StoppedError
@@ -237,6 +237,14 @@ class CalibrationNode(Node):
             self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
             round(values['max_gap'] * 1e9)), offset_s
 
+    def _clock_offset(self) -> str:
+        """Return the clock offset that a calibration since the last reset found, or ''."""
+        result = self._result
+        if (result is None or not self._calibrated
+                or result.config.mode('time_offset') == 'fixed'):
+            return ''
+        return f'{result.time_offset_s:.4f}'
+
     def _has_moved_on(self, excitation: Excitation) -> bool:
         """Return whether the data differ much from those of the last calibration."""
         # Fewer motions are those of a buffer that started anew.
@@ -278,7 +286,11 @@ class CalibrationNode(Node):
         status.values = key_values({
             'solver': values['solver'],
             'overlap_s': f'{max(0.0, -apart_s):.3f}',
-            'clock_offset_s': f'{offset_s:.4f}',
+            'time_offset': f'{values["time_offset"]:.4f}',
+            'clock_offset_s': self._clock_offset(),
+            **pairing_values(count_pairs(
+                session.buffer_a, session.buffer_b, round(offset_s * 1e9),
+                round(values['max_gap'] * 1e9)), result),
             'advice': advice,
             'last_failure': self._last_failure,
             **excitation_values(excitation),
@@ -288,23 +300,6 @@ class CalibrationNode(Node):
         return status
 
 
-class _StopSignals:
-    """Turns SIGINT and SIGTERM into a flag.
-
-    The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
-    that the loop reads ends every run the same way.
-    """
-
-    def __init__(self) -> None:
-        self.received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
-        self.received = True
-
-
 def _init(args: Sequence[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
@@ -312,9 +307,9 @@ def _init(args: Sequence[str] | None) -> None:
         raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; return the exit status."""
-    stop = _StopSignals()
+def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM, which ``stop`` notes; return the exit status."""
+    stop = stop or StopSignals()
     node = None
     try:
         _init(args)
@@ -332,7 +327,3 @@ def main(args: Sequence[str] | None = None) -> int:
             node.shutdown()
         rclpy.try_shutdown()
     return 0
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -1,0 +1,50 @@
+"""How many poses of b have a place among those of a: counted each second, so without pairing.
+
+Nothing here imports ROS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.association import COINCIDENCE_NS
+from trajectory_calibration.ros.buffer import PoseBuffer
+
+_ALWAYS = int(np.iinfo(np.int64).min)
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """What interpolation of a at the stamps of b would make of two buffers.
+
+    Attributes
+    ----------
+    pairs : poses of b between two poses of a that are near enough, or coinciding with one.
+    in_gaps : poses of b in a gap of a.
+    outside : poses of b before the first or after the last pose of a.
+
+    """
+
+    pairs: int
+    in_gaps: int
+    outside: int
+
+
+def count_pairs(
+    a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
+) -> Pairing:
+    """Count as ``associate_by_interpolation`` does, from the few long gaps of a alone."""
+    stamps_a, stamps_b = a.after(_ALWAYS)[0], b.after(_ALWAYS)[0]
+    if len(stamps_a) < 2:
+        return Pairing(0, 0, len(stamps_b))
+    # In the clock of b: adding the offset to its stamps would copy all of them.
+    first, last = stamps_a[[0, -1]] - time_offset_ns
+    inside = int(np.searchsorted(stamps_b, last, side='right') - np.searchsorted(stamps_b, first))
+    left = np.flatnonzero(np.diff(stamps_a) > max_gap_ns)
+    starts = stamps_a[left] - time_offset_ns + COINCIDENCE_NS
+    ends = stamps_a[left + 1] - time_offset_ns - COINCIDENCE_NS
+    in_gap = np.searchsorted(stamps_b, ends) - np.searchsorted(stamps_b, starts, side='right')
+    in_gaps = int(np.maximum(in_gap, 0).sum())
+    return Pairing(inside - in_gaps, in_gaps, len(stamps_b) - inside)

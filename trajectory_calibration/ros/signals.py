@@ -1,0 +1,31 @@
+"""The end of the process by SIGINT or SIGTERM, from before the first import that takes time.
+
+Nothing here imports ROS or anything that takes time to load.
+"""
+
+from __future__ import annotations
+
+import signal
+from types import FrameType
+
+
+class StopSignals:
+    """Turns SIGINT and SIGTERM into a flag.
+
+    The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
+    that the loop reads ends every run the same way.
+
+    Attributes
+    ----------
+    received : whether one of them has come.
+
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.received = True
