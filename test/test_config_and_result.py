@@ -13,6 +13,7 @@ from trajectory_calibration import (
     CalibrationConfig,
     CalibrationResult,
     ConfigError,
+    MotionError,
     ResultError,
     Trajectory,
 )
@@ -111,8 +112,10 @@ def test_a_clock_offset_is_found_and_said():
     result = calibrate(a, late, CalibrationConfig(solver='dnl'))
     assert result.time_offset_s == pytest.approx(1.2, abs=0.005)
     assert any('clock offset +1' in warning for warning in result.warnings)
-    assert calibrate(a, late, CalibrationConfig(
-        solver='dnl', time_offset_mode='fixed')).time_offset_s == 0
+    with pytest.raises(MotionError, match='did not turn together'):
+        calibrate(a, late, CalibrationConfig(solver='dnl', time_offset_mode='fixed'))
+    given = calibrate(a, late, CalibrationConfig(solver='dnl', time_offset=1.2))
+    assert given.time_offset_s == pytest.approx(1.2, abs=1e-9)
 
 
 def test_config_round_trips():

@@ -67,8 +67,9 @@ def calibrate(
     solution = solve(motions, config)
     require_agreement(
         solution.T_a_b, pairs, trajectory_a.sensor_frame, trajectory_b.sensor_frame)
-    uncertainty = (estimate_uncertainty(solution, motions) if choice.known is None
-                   else choice.known.uncertainty_of(solution.T_a_b))
+    uncertainty = estimate_uncertainty(solution, motions)
+    if choice.known is not None:
+        uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)
     T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
     metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
     observability = observe(

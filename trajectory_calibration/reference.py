@@ -47,6 +47,9 @@ _USUAL = 5
 # Poses and motions that are enough to tell references apart.
 _ENOUGH = 10_000
 
+# Errors below this, metres, are named as such: digits would say nothing.
+_SMALLEST = 1e-4
+
 # How many of the other candidates the explanation names.
 _NAMED = 3
 
@@ -58,7 +61,7 @@ class Known:
     Attributes
     ----------
     T_a_b : (4, 4), the mean.
-    uncertainty : of the mean.
+    covariance : (6, 6), of the mean.
     directions : (K, 6), what turns a step (dt, dtheta) into metres along the directions that the
         motion showed; ``_DISTANCE`` counts.
     variance : of the mean along all of them together, m^2.
@@ -66,7 +69,7 @@ class Known:
     """
 
     T_a_b: FloatArray
-    uncertainty: Uncertainty
+    covariance: FloatArray
     directions: FloatArray
     variance: float
 
@@ -75,11 +78,14 @@ class Known:
         step = self._step(T_a_b)
         return float(np.sqrt(np.sum((self.directions @ step)**2) + self.variance))
 
-    def uncertainty_of(self, T_a_b: FloatArray) -> Uncertainty:
-        """Return how far a (4, 4) answer may be from the truth."""
+    def uncertainty_of(self, T_a_b: FloatArray, own: Uncertainty) -> Uncertainty:
+        """Return how far a (4, 4) answer may be from the truth.
+
+        ``own`` is what the equations of its solver say, for directions that those leave open.
+        """
         step = self._step(T_a_b)
-        return replace(
-            self.uncertainty, covariance=self.uncertainty.covariance + np.outer(step, step))
+        return replace(own, covariance=(
+            self.covariance + np.outer(step, step) + own.unobserved.T @ own.unobserved))
 
     def _step(self, T_a_b: FloatArray) -> FloatArray:
         turn = se3.log_so3(T_a_b[:3, :3] @ self.T_a_b[:3, :3].T)
@@ -141,13 +147,13 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
 def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:
     motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
     solution = load_solver('drift_aware')(motions, config)
-    uncertainty = estimate_uncertainty(solution, motions)
+    covariance = estimate_uncertainty(solution, motions).covariance
     unit = np.repeat([1.0, _DISTANCE], 3)
-    variances, axes = np.linalg.eigh(uncertainty.covariance * np.outer(unit, unit))
+    variances, axes = np.linalg.eigh(covariance * np.outer(unit, unit))
     # Where the motion showed nothing, no answer is better than another.
     seen = variances < config.unobserved_translation**2
     # Rounding may leave a variance below zero.
-    return Known(solution.T_a_b, uncertainty, axes[:, seen].T * unit,
+    return Known(solution.T_a_b, covariance, axes[:, seen].T * unit,
                  float(np.maximum(variances[seen], 0.0).sum()))
 
 
@@ -161,4 +167,6 @@ def _explanation(best: str, expected: dict[str, float]) -> str:
 
 
 def _length(metres: float) -> str:
-    return f'{100 * metres:.2g} cm' if metres < 1 else f'{metres:.2g} m'
+    if metres < _SMALLEST:
+        return f'below {100 * _SMALLEST:g} cm'
+    return f'{100 * metres:.2g} cm' if metres < 1 else f'{metres:.3g} m'
