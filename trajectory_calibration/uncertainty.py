@@ -22,7 +22,7 @@ its triangular weights the same as a moving-block bootstrap, H. R. Kunsch, Annal
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +104,7 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
         raise SolverError('the solver gave neither a covariance nor the equations it solved')
     X, weights, linearise = solution.T_a_b, solution.inliers, solution.linearise
     w = np.ones(len(motions)) if weights is None else weights.astype(np.float64)
-    usable = None if weights is None else spanned_steps(motions, weights)
+    usable = None if weights is None else _spanned_steps(motions, weights)
     trusted = None if weights is None else _ends(motions, weights)
     poses_c = X @ motions.pairs.poses_b @ se3.inverse(X)
     noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
@@ -142,24 +142,6 @@ def _semidefinite(covariance: FloatArray) -> FloatArray:
     return semidefinite
 
 
-def predict_covariance(
-    T_a_b: FloatArray,
-    motions: MotionPairs,
-    noise: PairNoise,
-    linearise: Linearise,
-    weights: FloatArray | None = None,
-) -> FloatArray:
-    """Return the (6, 6) covariance that a solver would have with these motions and that noise.
-
-    About the extrinsic ``T_a_b``, in closed form through the solver's own equations: the solver
-    is not run. ``weights`` (M,) are one where omitted.
-    """
-    w = np.ones(len(motions)) if weights is None else weights
-    poses_c = T_a_b @ motions.pairs.poses_b @ se3.inverse(T_a_b)
-    found = _analyse(T_a_b, motions, w, noise, poses_c, linearise)
-    return replace(found, covariance=found.predicted).uncertainty(np.zeros(6)).covariance
-
-
 @dataclass(frozen=True, eq=False)
 class _Sums:
     """Sums over the motions; the parameters are the six of X, then three of drift per metre.
@@ -188,13 +170,9 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Analysis:
-    """What the sums say, see ``Uncertainty``; ``by_drift`` is (6, 3), dX by a drift.
-
-    ``predicted`` is the covariance by the noise model alone.
-    """
+    """What the sums say, see ``Uncertainty``; ``by_drift`` is (6, 3), dX by a drift."""
 
     covariance: FloatArray
-    predicted: FloatArray
     bias: FloatArray
     noise: PairNoise
     unobserved: FloatArray
@@ -238,11 +216,9 @@ def _analyse(
     drift = -with_drift @ sums.score
     drift_covariance = inflation * with_drift @ meat @ with_drift.T
     chi_square = drift @ np.linalg.pinv(drift_covariance, rcond=1e-12) @ drift
-    predicted = inverse @ meat[:6, :6] @ inverse.T
     drifts = chi_square > _SIGNIFICANT_DRIFT and not opens_rotation(unobserved)
     return _Analysis(
-        covariance=inflation * predicted,
-        predicted=predicted,
+        covariance=inflation * inverse @ meat[:6, :6] @ inverse.T,
         bias=-inverse @ sums.clean_score,
         noise=noise,
         unobserved=unobserved,
@@ -343,7 +319,7 @@ def _inverse(matrix: FloatArray, basis: FloatArray) -> FloatArray:
     return inverse
 
 
-def spanned_steps(motions: MotionPairs, inliers: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _spanned_steps(motions: MotionPairs, inliers: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (N - 1,) whether any motion that was kept spans each step."""
     change = np.zeros(len(motions.pairs), dtype=np.intp)
     np.add.at(change, motions.i[inliers], 1)
