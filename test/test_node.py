@@ -122,7 +122,8 @@ def test_a_reset_during_a_calibration_is_no_failure(tmp_path):
     with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
         client.publish_drive(*ros.drive(poses=2000))
         pending = client.start_call('calibrate')
-        # Both requests are on their way before the solver can have answered.
+        # Refused because the first is at work: requests of two services have no order.
+        assert client.call('calibrate').message.startswith('busy')
         reset = client.start_call('reset')
         client.wait(lambda: pending.done() and reset.done(), 'both answers')
         client.diagnostics.clear()
@@ -210,7 +211,8 @@ def test_reset_and_timeout_stop_a_calibration(tmp_path):
         late = client.call('calibrate')
         assert client.set_parameter('calibration_timeout', 60.0).successful
         pending = client.start_call('calibrate')
-        # Both requests are on their way before the solver can have answered.
+        # Refused because the first is at work: requests of two services have no order.
+        assert client.call('calibrate').message.startswith('busy')
         reset = client.start_call('reset')
         client.wait(lambda: pending.done() and reset.done(), 'both answers')
         again = client.call('calibrate')
