@@ -76,35 +76,36 @@ def flags(scenario, seed, solver):
     return found.observability.unobserved, found.observability.weak
 
 
+def counted(scenario, solver, seeds, flagged):
+    """Return the cells of a row: refused, unobserved, only weak, seconds; and what is left.
+
+    ``flagged`` tells from names of directions whether they are the ones in question.
+    """
+    start = time.process_time()
+    found = [flags(scenario, seed, solver) for seed in range(seeds)]
+    seconds = (time.process_time() - start) / seeds
+    answers = [item for item in found if item is not None]
+    unobserved = sum(flagged(item[0]) for item in answers)
+    weak = sum(flagged(item[1]) and not flagged(item[0]) for item in answers)
+    return seeds - len(answers), unobserved, weak, len(answers) - unobserved - weak, seconds
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--seeds', type=int, default=100)
     parser.add_argument('--solvers', default='drift_aware,dnl')
     arguments = parser.parse_args()
-    print('| drive | solver | refused | z unobserved | z only weak | not flagged | CPU s a run |')
-    print('|---|---|---|---|---|---|---|')
-    for name, scenario in planar():
-        for solver in arguments.solvers.split(','):
-            start = time.process_time()
-            found = [flags(scenario, seed, solver) for seed in range(arguments.seeds)]
-            refused = sum(item is None for item in found)
-            unobserved = sum(item is not None and 'z' in item[0] for item in found)
-            weak = sum(item is not None and 'z' in item[1] for item in found)
-            print(f'| {name} | {solver} | {refused} | {unobserved} | {weak} | '
-                  f'{len(found) - refused - unobserved - weak} | '
-                  f'{(time.process_time() - start) / len(found):.2f} |', flush=True)
-    print()
-    print('| drive | solver | refused | anything unobserved | only weak | CPU s a run |')
-    print('|---|---|---|---|---|---|')
-    for name, scenario in excited():
-        for solver in arguments.solvers.split(','):
-            start = time.process_time()
-            found = [flags(scenario, seed, solver) for seed in range(arguments.seeds)]
-            refused = sum(item is None for item in found)
-            unobserved = sum(item is not None and bool(item[0]) for item in found)
-            weak = sum(item is not None and not item[0] and bool(item[1]) for item in found)
-            print(f'| {name} | {solver} | {refused} | {unobserved} | {weak} | '
-                  f'{(time.process_time() - start) / len(found):.2f} |', flush=True)
+    solvers = arguments.solvers.split(',')
+    for drives, flagged, what in ((planar(), lambda names: 'z' in names, 'z'),
+                                  (excited(), bool, 'anything')):
+        print(f'| drive | solver | refused | {what} unobserved | only weak | not flagged | '
+              'CPU s a run |\n|---|---|---|---|---|---|---|')
+        for name, scenario in drives:
+            for solver in solvers:
+                *cells, seconds = counted(scenario, solver, arguments.seeds, flagged)
+                print(f'| {name} | {solver} | ' + ' | '.join(map(str, cells))
+                      + f' | {seconds:.2f} |', flush=True)
+        print()
 
 
 if __name__ == '__main__':
