@@ -10,7 +10,11 @@ from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.association import associate_nearest
 from trajectory_calibration.solvers.drift.block_chain import BlockChain
 from trajectory_calibration.solvers.drift.fit import columns_of, first_noise
-from trajectory_calibration.solvers.drift.likelihood import evaluate, invert_information
+from trajectory_calibration.solvers.drift.likelihood import (
+    evaluate,
+    global_likelihood,
+    invert_information,
+)
 from trajectory_calibration.solvers.drift.model import (
     Chain,
     corrected_steps,
@@ -220,6 +224,27 @@ def test_pieces_do_not_change_the_result(problem, monkeypatch):
                  'leverage'):
         np.testing.assert_allclose(getattr(pieces, name), getattr(whole, name), rtol=1e-8,
                                    atol=1e-12, err_msg=name)
+
+
+@pytest.mark.parametrize('terms', [(), ('scale',), ALL_TERMS])
+@pytest.mark.parametrize('piece', [3, 100])
+def test_one_elimination_serves_all_terms(problem, monkeypatch, terms, piece):
+    chain, state, noise = problem
+    monkeypatch.setattr('trajectory_calibration.solvers.drift.likelihood.PIECE', piece)
+    columns = columns_of(terms)
+    expected = evaluate(chain, state, noise, columns, 3.0)
+    every = global_likelihood(chain, state, noise, 3.0)
+    step, covariance = every.estimate(columns)
+    deviation = np.sqrt(np.diag(expected.covariance))
+    np.testing.assert_allclose(
+        step / deviation, expected.parameter_step / deviation, atol=1e-6)
+    np.testing.assert_allclose(covariance / np.outer(deviation, deviation),
+                               expected.covariance / np.outer(deviation, deviation), atol=1e-6)
+    # At the minimum the parts of the gradient cancel, but for the factor s^T.
+    slope = np.where(columns == TERM_COLUMNS['scale'].start, 3.0 / state.scale, 0.0)
+    parts = every.gradients(columns, step)
+    assert np.abs(parts @ np.diag(deviation)).max() > 1e-2
+    np.testing.assert_allclose(deviation * (parts.sum(axis=0) - slope), 0, atol=1e-6)
 
 
 def test_directions_without_information_do_not_move():

@@ -17,15 +17,13 @@ import numpy as np
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaussian, joined, weigh
 from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
-from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation
+from trajectory_calibration.solvers.drift.likelihood import BLOCKS
 from trajectory_calibration.solvers.drift.model import EXTRINSIC
 from trajectory_calibration.solvers.drift.selection import RIVALS
 
-# Blocks of consecutive poses, and how far the scatter of so few may exceed its expectation
-# before it counts. The largest eigenvalue of m parameters over n blocks is near
-# (1 + sqrt(m / (n - 1)))^2; it stays below this many times that in 99 of 100 data sets
-# whose noise is the model's (m from 6 to 11).
-BLOCKS = 20
+# How far the scatter of so few blocks may exceed its expectation before it counts. The largest
+# eigenvalue of m parameters over n blocks is near (1 + sqrt(m / (n - 1)))^2; it stays below this
+# many times that in 99 of 100 data sets whose noise is the model's (m from 6 to 11).
 _SIGNIFICANT = 1.25
 
 
@@ -34,10 +32,7 @@ def parameter_covariance(fit: Fit, excess: float = 1.0) -> FloatArray:
 
     ``excess`` is how many times larger than identified the variances of the noise are.
     """
-    columns = columns_of(fit.terms)
-    evaluation = fit.evaluation
-    model = scale_covariance(evaluation.covariance, evaluation, columns, fit.state.scale)
-    return _widened(model, evaluation, excess)
+    return _likelihood(fit, fit.terms, excess).covariance
 
 
 def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0) -> FloatArray:
@@ -70,20 +65,20 @@ def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0)
 
 def _likelihood(fit: Fit, terms: Sequence[str], excess: float) -> Gaussian:
     columns = columns_of(terms)
-    evaluation = evaluate(
-        fit.chain, fit.state, fit.noise, columns, 0.5 * fit.evaluation.position_traces)
-    model = scale_covariance(evaluation.covariance, evaluation, columns, fit.state.scale)
-    return Gaussian(columns, evaluation.parameter_step, _widened(model, evaluation, excess))
+    step, covariance = fit.likelihood.estimate(columns)
+    model = scale_covariance(
+        covariance, fit.evaluation.position_traces, columns, fit.state.scale)
+    if len(fit.chain) < 2 * BLOCKS:
+        return Gaussian(columns, step, excess * model)
+    gradients = fit.likelihood.gradients(columns, step)
+    return Gaussian(columns, step, _widened(model, gradients, excess))
 
 
-def _widened(model: FloatArray, evaluation: Evaluation, excess: float) -> FloatArray:
-    """Return the (m, m) covariance, larger where the data ask for it."""
+def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatArray:
+    """Return the (m, m) covariance, larger where the (BLOCKS, m) gradients ask for it."""
     eigenvalues, axes = np.linalg.eigh(model)
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
-    contributions = evaluation.contributions @ root
-    if len(contributions) < 2 * BLOCKS:
-        return excess * model
-    sums = np.stack([block.sum(axis=0) for block in np.array_split(contributions, BLOCKS)])
+    sums = gradients @ root
     sums -= sums.mean(axis=0)
     inflation, directions = np.linalg.eigh(sums.T @ sums * BLOCKS / (BLOCKS - 1))
     chance = _SIGNIFICANT * (1 + np.sqrt(len(model) / (BLOCKS - 1)))**2

@@ -9,13 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.likelihood import evaluate, Evaluation, predict_step
+from trajectory_calibration.solvers.drift.likelihood import (
+    evaluate,
+    Evaluation,
+    global_likelihood,
+    GlobalLikelihood,
+    predict_step,
+)
 from trajectory_calibration.solvers.drift.model import (
     Chain,
     EXTRINSIC,
@@ -78,6 +85,12 @@ class Fit:
     evaluation: Evaluation
     iterations: int
     converged: bool
+
+    @cached_property
+    def likelihood(self) -> GlobalLikelihood:
+        """Return what the data say here of all global parameters, estimated or not."""
+        return global_likelihood(
+            self.chain, self.state, self.noise, 0.5 * self.evaluation.position_traces)
 
 
 def columns_of(terms: Sequence[str]) -> IndexArray:
@@ -193,16 +206,17 @@ def settled(chain: Chain, state: State, noise: Noise, terms: Sequence[str]) -> S
     for a walk or for jumps.
     """
     columns = columns_of(terms)
-    step, _, response = predict_step(chain, state, noise, columns, 1.5 * (len(chain) - 1))
+    step, response = predict_step(chain, state, noise, columns, 1.5 * (len(chain) - 1))
     return _moved(state, response, step, columns)
 
 
 def scale_covariance(
-    covariance: FloatArray, evaluation: Evaluation, columns: IndexArray, scale: float,
+    covariance: FloatArray, position_traces: float, columns: IndexArray, scale: float,
 ) -> FloatArray:
     """Return a (m, m) covariance without the information that is only noise of the steps.
 
-    Noise in the derivative by the scale adds ``T / s^2`` to its information.
+    Noise in the derivative by the scale adds ``T / s^2`` to its information, T half of the
+    ``position_traces``.
     """
     place = np.flatnonzero(columns == TERM_COLUMNS['scale'].start)
     if not len(place):
@@ -210,7 +224,7 @@ def scale_covariance(
     column = covariance[:, place]
     variance = float(covariance[place, place][0])
     # Near nothing but noise, keep the result finite.
-    false_share = min(0.5 * evaluation.position_traces / scale**2 * variance, 0.7)
+    false_share = min(0.5 * position_traces / scale**2 * variance, 0.7)
     corrected: FloatArray = covariance + column @ column.T * (
         false_share / variance / (1 - false_share))
     return corrected

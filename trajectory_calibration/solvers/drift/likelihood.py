@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from trajectory_calibration.solvers.drift.model import (
     IndexArray,
     Linearisation,
     linearise,
+    PARAMETERS,
     State,
     TERM_COLUMNS,
 )
@@ -40,6 +42,8 @@ from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
 
 # Poses that are linearised at once: the blocks of one piece stay in the cache of a core.
 PIECE = 2048
+# Runs of consecutive poses whose parts of the gradient are compared.
+BLOCKS = 20
 # Of a direction in which nothing was observed, m^2 or rad^2: more than any vehicle measures.
 FREE_VARIANCE = 1e6
 # Relative size of eigenvalues that rounding leaves of zero.
@@ -62,7 +66,6 @@ class Evaluation:
     score, score_information : (6,) and (6, 6), by the log variances.
     sensitivity : (m, 6), derivative of the global parameters' step by the log variances.
     position_traces : tr(P R) over the translation noise of white and walk together.
-    contributions : (N, m), of every pose and the step from it to the gradient at the minimum.
     leverage : (N - 1, 2, m), of a unit of precision of each step, translation and rotation, to it.
 
     """
@@ -77,7 +80,6 @@ class Evaluation:
     score_information: FloatArray
     sensitivity: FloatArray
     position_traces: float
-    contributions: FloatArray
     leverage: FloatArray
 
 
@@ -99,10 +101,61 @@ def evaluate(
 
 def predict_step(
     chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the step, the covariance and the body response only: a third of the work."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return the step of the parameters and the body response only: half of the work."""
     solved = _Evaluator(chain, state, noise, columns, scale_power).solve()
-    return solved.step, solved.covariance + FREE_VARIANCE * solved.free, solved.response
+    return solved.step, solved.response
+
+
+@dataclass(frozen=True, eq=False)
+class GlobalLikelihood:
+    """What the data say about all global parameters at one state, the bodies eliminated.
+
+    Attributes
+    ----------
+    blocks : (BLOCKS, 12, 12), Gram matrices of the weighted equations of consecutive poses and
+        steps, after the bodies have followed the parameters; the last column is the residual.
+    before : (11, 11), the information of the parameters before the bodies were eliminated.
+    scale_slope : what the factor ``s^T`` adds to half the gradient by the scale.
+
+    """
+
+    blocks: FloatArray
+    before: FloatArray
+    scale_slope: float
+
+    def estimate(self, columns: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Return the step of m parameters to their minimum, the others fixed, and covariance."""
+        square = np.ix_(columns, columns)
+        equations = self.blocks.sum(axis=0)
+        gradient = equations[columns, -1] + self.scale_slope * (
+            columns == TERM_COLUMNS['scale'].start)
+        covariance, free, _ = invert_information(equations[square], self.before[square])
+        return -covariance @ gradient, covariance + FREE_VARIANCE * free
+
+    def gradients(self, columns: IndexArray, step: FloatArray) -> FloatArray:
+        """Return (BLOCKS, m), the part of each block in half the gradient after a step."""
+        by_step = self.blocks[:, columns[:, None], columns] @ step
+        total: FloatArray = self.blocks[:, columns, -1] + by_step
+        return total
+
+
+def global_likelihood(
+    chain: Chain, state: State, noise: Noise, scale_power: float,
+) -> GlobalLikelihood:
+    """Eliminate the bodies from the equations of all global parameters.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The normal equations are not positive definite.
+
+    """
+    evaluator = _Evaluator(chain, state, noise, np.arange(PARAMETERS), scale_power)
+    diagonal, upper, border, corner = evaluator.normal_equations()
+    response = BlockChain.factor(diagonal, upper).solve(border)
+    return GlobalLikelihood(
+        evaluator.blocks(response), corner[:-1, :-1], -scale_power / state.scale)
 
 
 def invert_information(
@@ -197,7 +250,6 @@ class _Evaluator:
             score_information=information,
             sensitivity=sensitivity,
             position_traces=traces,
-            contributions=posterior.contributions,
             leverage=posterior.leverage,
         )
 
@@ -230,6 +282,26 @@ class _Evaluator:
             corner += flat.T @ flat
         return diagonal, upper, border, corner
 
+    def blocks(self, response: FloatArray) -> FloatArray:
+        """Return (BLOCKS, m + 1, m + 1) Gram matrices of the equations without the bodies."""
+        edges = np.linspace(0, len(self.chain), BLOCKS + 1).astype(np.intp)
+        grams = np.zeros((BLOCKS, self.m + 1, self.m + 1))
+        for first, piece in self.pieces():
+            poses = slice(first, first + len(piece.observation))
+            steps = slice(first, first + len(piece.walk))
+            after = slice(first + 1, first + 1 + len(piece.walk))
+            observed = self.white_root @ (
+                piece.observation[:, :, 6:] - piece.observation[:, :, :6] @ response[poses])
+            weights = np.repeat(np.sqrt(self.walk_precision[steps]), 3, axis=1)
+            walked = weights[:, :, None] * (
+                piece.walk[:, :, 12:] - piece.walk[:, :, :6] @ response[steps]
+                - piece.walk[:, :, 6:12] @ response[after])
+            local = np.clip(edges - first, 0, len(observed))
+            for block, (start, end) in enumerate(pairwise(local)):
+                for part in (observed[start:end], walked[start:end]):
+                    grams[block] += _inner(part, part)
+        return grams
+
     def posterior(
         self, system: BlockChain, response: FloatArray, step: FloatArray, covariance: FloatArray,
     ) -> _Posterior:
@@ -243,7 +315,6 @@ class _Evaluator:
         observed = np.empty((N, 6))
         walked = np.empty((N - 1, 6))
         spread = np.empty((N - 1, 2))
-        contributions = np.zeros((N, m))
         leverage = np.empty((N - 1, 2, m))
         white_spread = np.zeros((6, 6))
         for first, piece in self.pieces():
@@ -254,8 +325,6 @@ class _Evaluator:
             part = design[:, :, :m] @ root
             white_spread += np.einsum('kij,klj->il', J @ S[poses], J, optimize=True)
             white_spread += np.tensordot(part, part, ((0, 2), (0, 2)))
-            contributions[poses] += np.einsum(
-                'kij,ki->kj', design[:, :, :m], observed[poses] @ self.white_precision)
             steps = slice(first, first + len(piece.walk))
             after = slice(first + 1, first + 1 + len(piece.walk))
             K, L = piece.walk[:, :, :6], piece.walk[:, :, 6:12]
@@ -267,11 +336,8 @@ class _Evaluator:
             spread[steps] = variance.reshape(-1, 2, 3).sum(axis=2)
             product = design[:, :, :m] * design[:, :, m:]
             leverage[steps] = product.reshape(-1, 2, 3, m).sum(axis=2)
-            contributions[steps] += np.einsum(
-                'kpj,kp->kj', leverage[steps], self.walk_precision[steps])
         squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
-        return _Posterior(
-            observed, walked, squares, spread, white_spread, contributions, leverage)
+        return _Posterior(observed, walked, squares, spread, white_spread, leverage)
 
     def score(self, posterior: _Posterior) -> tuple[FloatArray, float]:
         """Return the (6,) score by the log variances and tr(P R) of the translations."""
@@ -354,7 +420,6 @@ class _Posterior:
     walk_squares: FloatArray
     walk_spread: FloatArray
     white_spread: FloatArray
-    contributions: FloatArray
     leverage: FloatArray
 
 

@@ -24,8 +24,8 @@ from trajectory_calibration.solvers.drift.fit import (
     RunawayScaleError,
     settled,
 )
-from trajectory_calibration.solvers.drift.likelihood import predict_step
 from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.noise import Noise
 
 # Poses of the thinned chain.
 COARSE = 250
@@ -38,7 +38,7 @@ _START_LAGS = {1: 0.1, 5: 0.5, 20: 0.95}
 _RACE = 4
 # Where terms are compared, the objective must have settled to this.
 _COMPARED = 0.5
-# Where a chain is only a means to a start, negligible means this many times more.
+# Where a fit is only a means to a start or a choice, negligible means this many times more.
 _ROUGH = 5.0
 # Cauchy scale of each term before the data speak (one, metres a metre, seconds): about one
 # percent and one hundredth of a second. The tails leave room for more.
@@ -123,7 +123,12 @@ def _best_start(pairs: PosePairs, every: int, chain: Chain) -> Fit:
             f'drift_aware: none of {len(fits)} starts leads anywhere with {len(chain)} poses; '
             'check that both trajectories are of one vehicle, or try dnlo')
     best = min(ahead, key=lambda candidate: candidate.evaluation.objective)
-    return fit(chain, best.state, best.noise, smallest_gain=_COMPARED)
+    return _compared(best, (), best.noise)
+
+
+def _compared(best: Fit, terms: tuple[str, ...], noise: Noise) -> Fit:
+    """Return a fit from the state of another, with an objective that can be compared."""
+    return fit(best.chain, best.state, noise, terms, tolerance=_ROUGH, smallest_gain=_COMPARED)
 
 
 def _tried(chain: Chain, state: State, white_share: float) -> Fit | None:
@@ -136,9 +141,9 @@ def _tried(chain: Chain, state: State, white_share: float) -> Fit | None:
 
 def _with_terms(best: Fit, terms: tuple[str, ...]) -> Fit:
     """Return the fit with the terms that the user asks for."""
-    plain = fit(best.chain, best.state, best.noise, terms, smallest_gain=_COMPARED)
+    plain = _compared(best, terms, best.noise)
     try:
-        revived = fit(best.chain, best.state, best.noise.revived(), terms, smallest_gain=_COMPARED)
+        revived = _compared(best, terms, best.noise.revived())
     except SolverError:
         return plain
     return min(plain, revived, key=lambda candidate: candidate.evaluation.objective)
@@ -172,8 +177,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
                 continue
             terms = (*best.terms, name)
             try:
-                candidate = fit(
-                    best.chain, best.state, best.noise.revived(), terms, smallest_gain=_COMPARED)
+                candidate = _compared(best, terms, best.noise.revived())
             except SolverError:
                 # A term that the motion cannot tell from another one is not supported by it.
                 continue
@@ -225,10 +229,9 @@ def _excluded(name: str, terms: Sequence[str]) -> bool:
 def _gain_of_adding(best: Fit, name: str) -> float:
     """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
     columns = columns_of((*best.terms, name))
-    predicted, every_covariance, _ = predict_step(
-        best.chain, best.state, best.noise, columns, 0.5 * best.evaluation.position_traces)
+    step, covariance = best.likelihood.estimate(columns)
     place = term_columns(columns, name)
-    return _gain(name, predicted[place], every_covariance[np.ix_(place, place)])
+    return _gain(name, step[place], covariance[np.ix_(place, place)])
 
 
 def _gain_of_keeping(best: Fit, name: str) -> float:
