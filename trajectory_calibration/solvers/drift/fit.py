@@ -21,6 +21,7 @@ from trajectory_calibration.solvers.drift.likelihood import (
     Evaluation,
     global_likelihood,
     GlobalLikelihood,
+    objective,
     predict_step,
 )
 from trajectory_calibration.solvers.drift.model import (
@@ -139,7 +140,6 @@ def fit(
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
     first_scale = state.scale
-    revived = False
     for iteration in range(1, max_iterations + 1):
         if not 0.5 < state.scale / first_scale < 2:
             raise RunawayScaleError(
@@ -155,12 +155,11 @@ def fit(
         # A step that is as good as nothing is taken too: its rest is of second order.
         state = _moved(state, evaluation.body_response, evaluation.parameter_step, columns)
         if remaining < tolerance and gain < smallest_gain:
-            missed = missed_variances(evaluation)
-            if revived or not missed.any():
+            better = _revived(chain, state, noise, columns, evaluation, power)
+            if better is None:
                 return Fit(
                     chain, state, noise, tuple(terms), evaluation, iteration, converged=True)
-            revived = True
-            noise = noise.with_log_variances(noise.log_variances + missed)
+            noise = better
         else:
             noise = replace(judged, jump_probability=noise.jump_probability + of_jumps.damped(
                 judged.jump_probability - noise.jump_probability))
@@ -281,6 +280,24 @@ class Trust:
         self._share = np.where(turned, 0.5 * self._share, regained)
         self._last = step
         return self._share * step
+
+
+def _revived(
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, evaluation: Evaluation,
+    power: float,
+) -> Noise | None:
+    """Return the noise with variances that should not have vanished, or None where all is well.
+
+    The slope says that a variance is missed, but not well how much of it: what does not make the
+    objective smaller is tried with half of the change, and then left.
+    """
+    missed = missed_variances(evaluation)
+    for share in (1.0, 0.5) if missed.any() else ():
+        better = noise.with_log_variances(noise.log_variances + share * missed)
+        gain = evaluation.objective - objective(chain, state, better, columns, power)
+        if gain > _WORTH_REVIVING:
+            return better
+    return None
 
 
 def _moved(

@@ -99,6 +99,14 @@ def evaluate(
     return _Evaluator(chain, state, noise, columns, scale_power).run()
 
 
+def objective(
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float = 0.0,
+) -> float:
+    """Return the objective only, for half of the work; raises as ``evaluate``."""
+    evaluator = _Evaluator(chain, state, noise, columns, scale_power)
+    return evaluator.objective(evaluator.solve())
+
+
 def predict_step(
     chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -223,27 +231,17 @@ class _Evaluator:
                        -covariance @ gradient)
 
     def run(self) -> Evaluation:
-        N, m = len(self.chain), self.m
         solved = self.solve()
-        system, response, schur = solved.system, solved.response, solved.schur
-        covariance, step = solved.covariance, solved.step
-        quadratic = schur[m, m] + 2 * schur[:m, m] @ step + step @ schur[:m, :m] @ step
-        # In the first steps of a poor start, the scale that a step leads to may be no scale.
-        scale = np.maximum(self.state.scale + step, 0.1)
-        power = self.scale_power * self.is_scale
-        objective = (
-            N * np.linalg.slogdet(self.white)[1] + self.noise.mixture_terms(self.narrow)
-            + system.log_determinant + solved.log_information
-            + quadratic - 2 * power @ np.log(scale))
-        posterior = self.posterior(system, response, step, covariance)
+        posterior = self.posterior(
+            solved.system, solved.response, solved.step, solved.covariance)
         score, traces = self.score(posterior)
         information, sensitivity = self.score_information(
-            system, solved.border[:, :, :m], covariance, posterior)
+            solved.system, solved.border[:, :, :self.m], solved.covariance, posterior)
         return Evaluation(
-            objective=float(objective),
-            covariance=covariance + FREE_VARIANCE * solved.free,
-            parameter_step=step,
-            body_response=response,
+            objective=self.objective(solved),
+            covariance=solved.covariance + FREE_VARIANCE * solved.free,
+            parameter_step=solved.step,
+            body_response=solved.response,
             walk_squares=posterior.walk_squares,
             walk_spread=posterior.walk_spread,
             score=score,
@@ -252,6 +250,19 @@ class _Evaluator:
             position_traces=traces,
             leverage=posterior.leverage,
         )
+
+    def objective(self, solved: _Solved) -> float:
+        """Return -2 log of the restricted likelihood, up to a constant."""
+        m, schur, step = self.m, solved.schur, solved.step
+        quadratic = schur[m, m] + 2 * schur[:m, m] @ step + step @ schur[:m, :m] @ step
+        # In the first steps of a poor start, the scale that a step leads to may be no scale.
+        scale = np.maximum(self.state.scale + step, 0.1)
+        power = self.scale_power * self.is_scale
+        return float(
+            len(self.chain) * np.linalg.slogdet(self.white)[1]
+            + self.noise.mixture_terms(self.narrow)
+            + solved.system.log_determinant + solved.log_information
+            + quadratic - 2 * power @ np.log(scale))
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return diagonal, upper, the border with the right-hand side, and the corner."""
