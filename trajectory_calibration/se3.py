@@ -103,7 +103,12 @@ def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
 
 def log_so3(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
-    q = rotation_to_quaternion(rotations)
+    R = np.asarray(rotations, dtype=np.float64)
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    if np.all(trace > 0):
+        # All below 120 degrees, where the antisymmetric part tells the axis: a third of the work.
+        return _log_of_moderate(R, trace)
+    q = rotation_to_quaternion(R)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     # A copy, because NumPy takes its vectorised or its scalar arctan2, which differ in the last
     # bit, by where a strided operand happens to lie in memory: an answer could not be repeated.
@@ -112,6 +117,16 @@ def log_so3(rotations: ArrayLike) -> FloatArray:
     # angle / sine tends to 2 as the rotation vanishes.
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
     return factor * q[..., :3]
+
+
+def _log_of_moderate(R: FloatArray, trace: FloatArray) -> FloatArray:
+    sines = np.empty(R.shape[:-1])
+    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
+        sines[..., i] = 0.5 * (R[..., j, k] - R[..., k, j])
+    sine = np.sqrt(np.einsum('...i,...i->...', sines, sines))
+    angle = np.arctan2(sine, np.asarray(0.5 * (trace - 1)))
+    factor = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0)
+    return np.asarray(factor)[..., None] * sines
 
 
 def rotation_angle(rotations: ArrayLike) -> FloatArray:

@@ -154,8 +154,7 @@ def _turned_in_cells(
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return (K, 3) rotation in each cell, about the axes of the sensor, and which are known."""
     stamps_ns = trajectory.stamps_ns - start_ns
-    R = trajectory.rotations
-    steps = se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+    steps = _turns(trajectory)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     edges = np.arange(0, int(stamps_ns[-1]) + cell_ns, cell_ns)
     at_edges = np.column_stack([np.interp(edges, stamps_ns, axis) for axis in total.T])
@@ -220,10 +219,12 @@ def _refine(
     if len(i) < 3 * step:
         return None
 
+    steps_a = _turns(a)
+
     def disagreement(shift_s: float) -> float:
         at = offset_ns + round(shift_s * 1e9)
-        turned_a = se3.log_so3(np.swapaxes(_rotation_at(a, times[i] + at), 1, 2)
-                               @ _rotation_at(a, times[j] + at))
+        turned_a = se3.log_so3(np.swapaxes(_rotation_at(a, steps_a, times[i] + at), 1, 2)
+                               @ _rotation_at(a, steps_a, times[j] + at))
         M = turned_a.T @ turned_b
         singular = np.linalg.svd(M, compute_uv=False)
         gain = singular.sum() - 2 * singular[2] * (np.linalg.det(M) < 0)
@@ -255,10 +256,14 @@ def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.
     return inside & (stamps[left + 1] - stamps[left] <= _longest_step_ns(a))
 
 
-def _rotation_at(a: Trajectory, times: NDArray[np.int64]) -> FloatArray:
+def _turns(trajectory: Trajectory) -> FloatArray:
+    """Return (N - 1, 3) rotation vectors from each pose to the next."""
+    R = trajectory.rotations
+    return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+
+
+def _rotation_at(a: Trajectory, turns: FloatArray, times: NDArray[np.int64]) -> FloatArray:
     right = np.clip(np.searchsorted(a.stamps_ns, times), 1, len(a) - 1)
     left = right - 1
-    R_left = a.rotations[left]
-    step = se3.log_so3(np.swapaxes(R_left, 1, 2) @ a.rotations[right])
     fraction = (times - a.stamps_ns[left]) / (a.stamps_ns[right] - a.stamps_ns[left])
-    return R_left @ se3.exp_so3(fraction[:, None] * step)
+    return a.rotations[left] @ se3.exp_so3(fraction[:, None] * turns[left])
