@@ -95,7 +95,8 @@ def _estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
     while every > 1:
         thinned, every = every, max(every // _REFINEMENT, 1)
         best = _refine(best, Chain.from_pairs(pairs, every), thinned / every, final=every == 1)
-    return _revise(best, optional)
+        best = _revise(best, optional, final=every == 1)
+    return best
 
 
 def optional_terms(terms: Mapping[str, str]) -> tuple[str, ...]:
@@ -195,7 +196,7 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
         best = candidate
 
 
-def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
+def _revise(best: Fit, optional: tuple[str, ...], *, final: bool) -> Fit:
     """Judge the optional terms again with all poses; refit where the verdict changes."""
     terms = []
     for name in TERM_COLUMNS:
@@ -218,7 +219,7 @@ def _revise(best: Fit, optional: tuple[str, ...]) -> Fit:
         state = replace(state, systematic_drift=np.zeros(3))
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
-    return fit(best.chain, state, best.noise, terms)
+    return fit(best.chain, state, best.noise, terms, tolerance=1.0 if final else _ROUGH)
 
 
 def _excluded(name: str, terms: Sequence[str]) -> bool:
