@@ -86,7 +86,8 @@ class BlockChain:
                 coupling[:, :, :n] = E[2 * first:2 * last:2].transpose(0, 2, 1)
                 coupling[:pairs - first, :, n:] = E[2 * first + 1:2 * pairs:2]
                 coupling = inverse_root @ coupling
-                update = coupling.transpose(0, 2, 1) @ coupling
+                # A copy: of a matrix and its own transpose NumPy takes the slower product.
+                update = coupling.transpose(0, 2, 1).copy() @ coupling
                 level.inverse_root[first:last], level.coupling[first:last] = inverse_root, coupling
                 evens[first:last] -= update[:, :n, :n]
                 evens[first + 1:pairs + 1] -= update[:pairs - first, n:, n:]
