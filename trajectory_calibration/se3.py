@@ -77,19 +77,30 @@ def rotation_to_quaternion(rotations: ArrayLike) -> FloatArray:
     R = np.asarray(rotations, dtype=np.float64)
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
     trace = diagonal.sum(-1)
-    # Rows of 4 q q^T, one for each pivot.
-    K = np.empty((*R.shape[:-2], 4, 4))
-    for i in range(3):
-        K[..., i, i] = 1 - trace + 2 * diagonal[..., i]
-    K[..., 3, 3] = 1 + trace
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        K[..., i, j] = K[..., j, i] = R[..., i, j] + R[..., j, i]
+    # The row of 4 q q^T with the pivot w.
+    q = np.empty((*R.shape[:-2], 4))
     for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
-        K[..., i, 3] = K[..., 3, i] = R[..., j, k] - R[..., k, j]
-    pivot = np.argmax(np.diagonal(K, axis1=-2, axis2=-1), axis=-1)
-    q = np.take_along_axis(K, pivot[..., None, None], axis=-2)[..., 0, :]
+        q[..., i] = R[..., j, k] - R[..., k, j]
+    q[..., 3] = 1 + trace
+    # It is the largest of all turns below 90 degrees, which most arrays hold and nothing else.
+    if np.any(trace <= 1):
+        q = _row_with_largest_pivot(R, diagonal, trace, q)
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., 3:] < 0, -q, q)
+
+
+def _row_with_largest_pivot(
+    R: FloatArray, diagonal: FloatArray, trace: FloatArray, last: FloatArray,
+) -> FloatArray:
+    """Return (..., 4) rows of 4 q q^T, of which the ``last`` are known."""
+    K = np.empty((*R.shape[:-2], 4, 4))
+    K[..., 3, :] = K[..., :, 3] = last
+    for i in range(3):
+        K[..., i, i] = 1 - trace + 2 * diagonal[..., i]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        K[..., i, j] = K[..., j, i] = R[..., i, j] + R[..., j, i]
+    pivot = np.argmax(np.diagonal(K, axis1=-2, axis2=-1), axis=-1)
+    return np.take_along_axis(K, pivot[..., None, None], axis=-2)[..., 0, :]
 
 
 def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
@@ -103,12 +114,7 @@ def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
 
 def log_so3(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
-    R = np.asarray(rotations, dtype=np.float64)
-    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    if np.all(trace > 0):
-        # All below 120 degrees, where the antisymmetric part tells the axis: a third of the work.
-        return _log_of_moderate(R, trace)
-    q = rotation_to_quaternion(R)
+    q = rotation_to_quaternion(rotations)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     # A copy, because NumPy takes its vectorised or its scalar arctan2, which differ in the last
     # bit, by where a strided operand happens to lie in memory: an answer could not be repeated.
@@ -117,16 +123,6 @@ def log_so3(rotations: ArrayLike) -> FloatArray:
     # angle / sine tends to 2 as the rotation vanishes.
     factor = np.divide(angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
     return factor * q[..., :3]
-
-
-def _log_of_moderate(R: FloatArray, trace: FloatArray) -> FloatArray:
-    sines = np.empty(R.shape[:-1])
-    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
-        sines[..., i] = 0.5 * (R[..., j, k] - R[..., k, j])
-    sine = np.sqrt(np.einsum('...i,...i->...', sines, sines))
-    angle = np.arctan2(sine, np.asarray(0.5 * (trace - 1)))
-    factor = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 0)
-    return np.asarray(factor)[..., None] * sines
 
 
 def rotation_angle(rotations: ArrayLike) -> FloatArray:
