@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig, MotionError
+from trajectory_calibration import calibrate, CalibrationConfig, MotionError, se3, Trajectory
 from trajectory_calibration.association import associate
 from trajectory_calibration.excitation import split_pairs
 from trajectory_calibration.motions import select_motions
@@ -62,6 +62,37 @@ def test_well_excited_motion_is_never_flagged(scenario, seeds, solver):
     for seed in range(100, 100 + seeds):
         found, _ = calibrated(scenario, seed, solver=solver)
         assert found.observability.unobserved == ()
+
+
+def at_rest_or_straight_ahead(seed, speed=0.0):
+    """Return two sensors with noise (m, rad), at rest or on a straight line aslant of all axes."""
+    rng = np.random.default_rng(seed)
+    stamps_ns = 1_000_000_000 + 100_000_000 * np.arange(300)
+    direction = np.array([1.0, 1.0, 1.0]) / np.sqrt(3)
+    body = se3.from_rotation_translation(
+        np.eye(3), speed * 0.1 * np.arange(300)[:, None] * direction)
+    T_a_b = se3.from_rotation_translation(se3.exp_so3([0.1, 0.2, 1.0]), [0.5, 0.2, 0.1])
+    return [Trajectory(stamps_ns, body @ pose @ se3.exp_se3(
+        rng.normal(size=(300, 6)) * np.repeat([0.01, 0.003], 3))) for pose in (np.eye(4), T_a_b)]
+
+
+@pytest.mark.parametrize('solver', ['drift_aware', 'dnl', 'dnlo', 'park', 'taylor'])
+def test_noise_alone_is_no_answer(solver):
+    a, b = at_rest_or_straight_ahead(1)
+    with pytest.raises(MotionError, match='determines nothing of the extrinsic: in no direction'):
+        calibrate(a, b, CalibrationConfig(solver=solver, reference='B5'))
+    found = calibrate(a, b, CalibrationConfig(
+        solver=solver, reference='B5', allow_unobserved=True))
+    assert found.observability.unobserved == DEGREES_OF_FREEDOM
+
+
+def test_what_a_straight_line_tells_is_an_answer():
+    found = calibrate(*at_rest_or_straight_ahead(1, speed=2.0))
+    assert found.observability.unobserved == DEGREES_OF_FREEDOM
+    # Every axis of the sensor has a part of the one rotation that is open.
+    rotations = [item for item in found.observability.weak_axes if item.kind == 'rotation']
+    assert [item.status for item in rotations] == ['unobserved']
+    np.testing.assert_allclose(rotations[0].axis, np.ones(3) / np.sqrt(3), atol=0.02)
 
 
 def test_a_good_drive_has_nothing_to_say():

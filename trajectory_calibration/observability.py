@@ -13,6 +13,7 @@ import numpy as np
 
 from trajectory_calibration import se3
 from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import MotionError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 
@@ -146,6 +147,22 @@ def observe(
         tuple(tuple(axis) for axis in axes.tolist()),
         tuple(_describe(item, single, float(np.linalg.norm(excitation)), frame)
               for item in weak_axes))
+
+
+def require_observed(observability: Observability) -> None:
+    """Raise MotionError where the answer holds nothing that the data say.
+
+    One direction that is known is an answer, of which the rest is flagged; none is no answer.
+    """
+    # Not by axis of the sensor: one blind direction across all of them would hide the others.
+    blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
+    if len(blind) < len(DEGREES_OF_FREEDOM):
+        return
+    best = {item.kind: item.std for item in blind}
+    raise MotionError(
+        'the motion determines nothing of the extrinsic: in no direction is it known better than '
+        f'to {best["translation"]:.2g} m or {min(best["rotation"], 180.0):.2g} deg; drive curves, '
+        'and a ramp or a bank (allow_unobserved shows the answer)')
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:

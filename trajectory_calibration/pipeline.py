@@ -7,7 +7,7 @@ from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
-from trajectory_calibration.observability import observe
+from trajectory_calibration.observability import observe, require_observed
 from trajectory_calibration.priors import apply_prior, contradictions
 from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
@@ -74,6 +74,8 @@ def calibrate(
     metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
     observability = observe(
         motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
+    if not config.allow_unobserved:
+        require_observed(observability)
     return CalibrationResult(
         frame_a=trajectory_a.sensor_frame,
         frame_b=trajectory_b.sensor_frame,
