@@ -8,6 +8,7 @@ such a variance falls by a factor in every iteration until it no longer matters.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -39,8 +40,9 @@ from trajectory_calibration.solvers.drift.rounds import LARGEST_FALL, LARGEST_RI
 # A variance whose score is below this hardly acts.
 _SMALL_SCORE = 0.1
 # A variance with less information than this about its logarithm has vanished; it comes back where
-# the objective gains this from it.
+# the objective gains this from it, by one of these shares of the change that its slope foretells.
 _VANISHED, _WORTH_REVIVING = 1.0, 0.5
+_SHARES_REVIVED = (0.5, 0.75, 1.0)
 # Steps shrink from one to the next by this at least: what they wander by beside is no pace.
 _SLOWEST_PACE = 0.5
 # Added to correlations of the variances, two of which may be the same.
@@ -113,7 +115,7 @@ def fit(
     state: State,
     noise: Noise,
     terms: Sequence[str] = (),
-    max_iterations: int = 25,
+    max_iterations: int = 40,
     tolerance: float = 1.0,
     smallest_gain: float = np.inf,
 ) -> Fit:
@@ -270,16 +272,21 @@ def _revived(
 ) -> Noise | None:
     """Return the noise with variances that should not have vanished, or None where all is well.
 
-    The slope says that a variance is missed, but not well how much of it: what does not make the
-    objective smaller is tried with half of the change, and then left.
+    The slope says that a variance is missed, but not well how much of it, with the others as
+    they are: of some shares of the change, in logarithms, the one with the smallest objective is
+    taken, if it is smaller than without.
     """
     missed = missed_variances(evaluation)
-    for share in (1.0, 0.5) if missed.any() else ():
+    if not missed.any():
+        return None
+    best, smallest = None, evaluation.objective - _WORTH_REVIVING
+    for share in _SHARES_REVIVED:
         better = noise.with_log_variances(noise.log_variances + share * missed)
-        gain = evaluation.objective - objective(chain, state, better, columns, power)
-        if gain > _WORTH_REVIVING:
-            return better
-    return None
+        with suppress(np.linalg.LinAlgError):
+            found = objective(chain, state, better, columns, power)
+            if found < smallest:
+                best, smallest = better, found
+    return best
 
 
 def _moved(
