@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -34,9 +34,10 @@ from trajectory_calibration.solvers.drift.model import (
     State,
     TERM_COLUMNS,
 )
-from trajectory_calibration.solvers.drift.noise import Noise, WHITE
-from trajectory_calibration.solvers.drift.rounds import LARGEST_FALL, LARGEST_RISE, Rounds
+from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
 
+# The largest change of a log variance in one step, up and down.
+_LARGEST_RISE, _LARGEST_FALL = 1.5, 2.5
 # A variance whose score is below this hardly acts.
 _SMALL_SCORE = 0.1
 # A variance with less information than this about its logarithm has vanished; it comes back where
@@ -47,6 +48,9 @@ _SHARES_REVIVED = (0.5, 0.75, 1.0)
 _SLOWEST_PACE = 0.5
 # Added to correlations of the variances, two of which may be the same.
 _RIDGE = 1e-3
+# A trust that was lost grows by this factor in every step that does not turn; slowly, because
+# what turned once tends to turn again, but it must grow or the fit would stop short.
+_REGAINED_BY_VARIANCES, _REGAINED_BY_JUMPS = 1.3, 1.15
 # Room that a variance at its limit keeps, because limits must differ.
 _NEXT_TO_NOTHING = 1e-9
 # Converged: parameters, and what the next step of the variances would do to them, move by less
@@ -132,7 +136,9 @@ def fit(
     """
     columns = columns_of(terms)
     progress = _Progress()
-    rounds = Rounds(len(chain) - 1)
+    of_variances, of_jumps = (
+        Trust(len(COMPONENTS), _REGAINED_BY_VARIANCES),
+        Trust(noise.jump_probability.shape, _REGAINED_BY_JUMPS))
     # Three equations of translation a step, half of them for b.
     power = 1.5 * (len(chain) - 1)
     first_scale = state.scale
@@ -151,20 +157,20 @@ def fit(
             evaluation, wished, judged.walk_precision(narrow) - noise.walk_precision(narrow))
         # A step that is as good as nothing is taken too: its rest is of second order.
         state = _moved(state, evaluation.body_response, evaluation.parameter_step, columns)
-        settled = remaining < tolerance and gain < smallest_gain
-        # Within a standard deviation of the end one round is like the other.
-        alike = remaining * SMALL_STEP < 1
+        done = remaining < tolerance and gain < smallest_gain
         better = None
-        if settled or (alike and not asked):
+        # Asked once within a standard deviation of the end: later it would cost settling twice.
+        if done or (remaining * SMALL_STEP < 1 and not asked):
             asked = True
             better = _revived(chain, state, noise, columns, evaluation, power)
         if better is not None:
-            noise, rounds = better, Rounds(len(chain) - 1)
-        elif settled:
+            noise = better
+        elif done:
             return Fit(chain, state, noise, tuple(terms), evaluation, iteration, converged=True)
         else:
-            noise = rounds.next(
-                noise, judged, wished, evaluation.score_information, alike=alike)
+            noise = replace(judged, jump_probability=noise.jump_probability + of_jumps.damped(
+                judged.jump_probability - noise.jump_probability))
+            noise = noise.with_log_variances(noise.log_variances + of_variances.damped(wished))
     evaluation = _evaluate(chain, state, noise, columns, power)
     return Fit(chain, state, noise, tuple(terms), evaluation, max_iterations, converged=False)
 
@@ -239,9 +245,9 @@ def variance_step(evaluation: Evaluation, room: FloatArray) -> FloatArray:
     score, information = evaluation.score, evaluation.score_information
     eigenvalues, axes = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(eigenvalues, 1e-8 * eigenvalues[-1] + 1e-3))
-    lowest = -np.clip(room, 0.0, LARGEST_FALL)
+    lowest = -np.clip(room, 0.0, _LARGEST_FALL)
     # Where a variance hardly acts, slope and curvature vanish together: do not leap.
-    highest = np.where(np.abs(score) < _SMALL_SCORE, 0.0, LARGEST_RISE)
+    highest = np.where(np.abs(score) < _SMALL_SCORE, 0.0, _LARGEST_RISE)
     step: FloatArray = lsq_linear(
         root[:, None] * axes.T, -0.5 * axes.T @ score / root,
         (lowest - _NEXT_TO_NOTHING, highest + _NEXT_TO_NOTHING), method='bvls').x
@@ -264,6 +270,23 @@ def missed_variances(evaluation: Evaluation) -> FloatArray:
     missed = (own < _VANISHED) & (score**2 > 4 * alone * _WORTH_REVIVING) & (factor > 1)
     missed[:WHITE] = False
     return np.where(missed, np.log(np.maximum(factor, 1.0)), 0.0)
+
+
+class Trust:
+    """How much of a step is taken, element by element: less after every change of direction."""
+
+    def __init__(self, shape: int | tuple[int, ...], regained: float) -> None:
+        self._regained = regained
+        self._share = np.ones(shape)
+        self._last = np.zeros(shape)
+
+    def damped(self, step: FloatArray) -> FloatArray:
+        """Return the trusted share of a step."""
+        turned = step * self._last < 0
+        regained = np.minimum(self._regained * self._share, 1.0)
+        self._share = np.where(turned, 0.5 * self._share, regained)
+        self._last = step
+        return self._share * step
 
 
 def _revived(
