@@ -86,6 +86,13 @@ def test_noise_alone_is_no_answer(solver):
     assert found.observability.unobserved == DEGREES_OF_FREEDOM
 
 
+def test_strict_limits_flag_a_good_answer_and_keep_it():
+    found, _ = calibrated(
+        SCENARIOS['drone'], 1, solver='dnl', reference='B5', weak_translation=1e-9,
+        unobserved_translation=1e-8, weak_rotation=1e-9, unobserved_rotation=1e-8)
+    assert found.observability.unobserved == DEGREES_OF_FREEDOM
+
+
 def test_what_a_straight_line_tells_is_an_answer():
     found = calibrate(*at_rest_or_straight_ahead(1, speed=2.0))
     assert found.observability.unobserved == DEGREES_OF_FREEDOM

@@ -31,6 +31,9 @@ _NEAR_AXIS = np.cos(np.deg2rad(18.0))
 # Turns about one axis move the sensor along it by less than this share of what they do across.
 _SINGLE = 0.5
 
+# A rotation that is uncertain by this much about every axis, degrees, is not known at all.
+_LOST = 10.0
+
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
 
@@ -150,15 +153,16 @@ def observe(
 
 
 def require_observed(observability: Observability) -> None:
-    """Raise MotionError where the answer holds nothing that the data say.
+    """Raise MotionError where neither the motion nor a prior says anything of the answer.
 
     One direction that is known is an answer, of which the rest is flagged; none is no answer.
+    Whatever the limits of the user, a rotation within ``_LOST`` degrees is something.
     """
     # Not by axis of the sensor: one blind direction across all of them would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
-    if len(blind) < len(DEGREES_OF_FREEDOM):
-        return
     best = {item.kind: item.std for item in blind}
+    if len(blind) < len(DEGREES_OF_FREEDOM) or best['rotation'] < _LOST:
+        return
     raise MotionError(
         'the motion determines nothing of the extrinsic: in no direction is it known better than '
         f'to {best["translation"]:.2g} m or {min(best["rotation"], 180.0):.2g} deg; drive curves, '
