@@ -1,5 +1,7 @@
 """The drift-aware covariance: averaged over the terms, widened where the lags disagree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_drift_aware import AUTO, error_of, FIXED, simulated
@@ -88,7 +90,7 @@ def test_moments_are_those_of_the_prior_by_sampling():
     root = rng.normal(size=(8, 8)) * 0.01
     found = averaging.Gaussian(columns, 0.01 * rng.normal(size=8), root @ root.T)
     chain = Chain.from_pairs(simulated(1)[0])
-    state = State.start(chain, np.eye(4), 1.01)
+    state = replace(State.start(chain, np.eye(4)), scale=1.01)
     result = averaging.weigh(found, state, 'scale', 'time_offset').mean()
     sigma = averaging._SIGMAS[rng.integers(1, 13, size=(400_000, 2))]
     sigma[rng.uniform(size=sigma.shape) < 0.75] = 0.0

@@ -126,15 +126,16 @@ def find_clock_offset(
     """
     cell_ns = _cell_ns(a, b)
     start_ns = min(int(a.stamps_ns[0]), int(b.stamps_ns[0]))
-    turned_a, known_a = _turned_in_cells(a, start_ns, cell_ns)
-    turned_b, known_b = _turned_in_cells(b, start_ns, cell_ns)
+    turns_a = _turns(a)
+    turned_a, known_a = _turned_in_cells(a, turns_a, start_ns, cell_ns)
+    turned_b, known_b = _turned_in_cells(b, _turns(b), start_ns, cell_ns)
     lags, correlation = _correlate(turned_a, known_a, turned_b, known_b)
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
     if not (correlation[allowed] > 0).any():
         return None
     best = int(np.argmax(np.where(allowed, correlation, -1.0)))
-    refined = _refine(a, b, int(lags[best]) * cell_ns, cell_ns)
+    refined = _refine(a, turns_a, b, int(lags[best]) * cell_ns, cell_ns)
     # Beyond the limit it is the foot of a hill whose top was not looked at.
     if refined is None or abs(refined[0]) > max_offset_s:
         return None
@@ -150,16 +151,15 @@ def _cell_ns(a: Trajectory, b: Trajectory) -> int:
 
 
 def _turned_in_cells(
-    trajectory: Trajectory, start_ns: int, cell_ns: int,
+    trajectory: Trajectory, turns: FloatArray, start_ns: int, cell_ns: int,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return (K, 3) rotation in each cell, about the axes of the sensor, and which are known."""
     stamps_ns = trajectory.stamps_ns - start_ns
-    steps = _turns(trajectory)
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
     edges = np.arange(0, int(stamps_ns[-1]) + cell_ns, cell_ns)
     at_edges = np.column_stack([np.interp(edges, stamps_ns, axis) for axis in total.T])
     inside = (edges[:-1] >= stamps_ns[0]) & (edges[1:] <= stamps_ns[-1])
-    left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(steps) - 1)
+    left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(turns) - 1)
     gap = np.diff(stamps_ns) > _longest_step_ns(trajectory)
     known = inside & ~gap[left[:-1]] & ~gap[left[1:]]
     return np.diff(at_edges, axis=0) * known[:, None], known
@@ -200,7 +200,7 @@ def _correlate(
 
 
 def _refine(
-    a: Trajectory, b: Trajectory, offset_ns: int, cell_ns: int,
+    a: Trajectory, turns_a: FloatArray, b: Trajectory, offset_ns: int, cell_ns: int,
 ) -> tuple[float, float] | None:
     """Return offset and standard deviation (seconds) at the least disagreement near a start."""
     step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS)
@@ -219,12 +219,10 @@ def _refine(
     if len(i) < 3 * step:
         return None
 
-    steps_a = _turns(a)
-
     def disagreement(shift_s: float) -> float:
         at = offset_ns + round(shift_s * 1e9)
-        turned_a = se3.log_so3(np.swapaxes(_rotation_at(a, steps_a, times[i] + at), 1, 2)
-                               @ _rotation_at(a, steps_a, times[j] + at))
+        turned_a = se3.log_so3(np.swapaxes(_rotation_at(a, turns_a, times[i] + at), 1, 2)
+                               @ _rotation_at(a, turns_a, times[j] + at))
         M = turned_a.T @ turned_b
         singular = np.linalg.svd(M, compute_uv=False)
         gain = singular.sum() - 2 * singular[2] * (np.linalg.det(M) < 0)

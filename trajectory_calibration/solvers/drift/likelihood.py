@@ -100,7 +100,7 @@ def evaluate(
 
 
 def objective(
-    chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float = 0.0,
+    chain: Chain, state: State, noise: Noise, columns: IndexArray, scale_power: float,
 ) -> float:
     """Return the objective only, for half of the work; raises as ``evaluate``."""
     evaluator = _Evaluator(chain, state, noise, columns, scale_power)
@@ -160,8 +160,7 @@ def global_likelihood(
 
     """
     evaluator = _Evaluator(chain, state, noise, np.arange(PARAMETERS), scale_power)
-    diagonal, upper, border, corner = evaluator.normal_equations()
-    response = BlockChain.factor(diagonal, upper).solve(border)
+    _, _, response, corner = evaluator.eliminate()
     return GlobalLikelihood(
         evaluator.blocks(response), corner[:-1, :-1], -scale_power / state.scale)
 
@@ -217,12 +216,16 @@ class _Evaluator:
             self.kept.append(piece)
             yield first, piece
 
+    def eliminate(self) -> tuple[BlockChain, FloatArray, FloatArray, FloatArray]:
+        """Return the factorised chain, its border, how the bodies respond, and the corner."""
+        diagonal, upper, border, corner = self.normal_equations()
+        system = BlockChain.factor(diagonal, upper)
+        return system, border, system.solve(border), corner
+
     def solve(self) -> _Solved:
         """Solve for the global parameters, the bodies eliminated."""
         m = self.m
-        diagonal, upper, border, corner = self.normal_equations()
-        system = BlockChain.factor(diagonal, upper)
-        response = system.solve(border)
+        system, border, response, corner = self.eliminate()
         schur = corner - _inner(border, response)
         schur = 0.5 * (schur + schur.T)
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
@@ -298,15 +301,10 @@ class _Evaluator:
         edges = np.linspace(0, len(self.chain), BLOCKS + 1).astype(np.intp)
         grams = np.zeros((BLOCKS, self.m + 1, self.m + 1))
         for first, piece in self.pieces():
-            poses = slice(first, first + len(piece.observation))
-            steps = slice(first, first + len(piece.walk))
-            after = slice(first + 1, first + 1 + len(piece.walk))
-            observed = self.white_root @ (
-                piece.observation[:, :, 6:] - piece.observation[:, :, :6] @ response[poses])
-            weights = np.repeat(np.sqrt(self.walk_precision[steps]), 3, axis=1)
-            walked = weights[:, :, None] * (
-                piece.walk[:, :, 12:] - piece.walk[:, :, :6] @ response[steps]
-                - piece.walk[:, :, 6:12] @ response[after])
+            observed, walked = _followed(piece, response, first)
+            observed = self.white_root @ observed
+            precision = self.walk_precision[first:first + len(walked)]
+            walked = np.repeat(np.sqrt(precision), 3, axis=1)[:, :, None] * walked
             local = np.clip(edges - first, 0, len(observed))
             for block, (start, end) in enumerate(pairwise(local)):
                 for part in (observed[start:end], walked[start:end]):
@@ -331,7 +329,8 @@ class _Evaluator:
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))
             J = piece.observation[:, :, :6]
-            design = (piece.observation[:, :, 6:] - J @ response[poses]) @ follow
+            of_poses, of_steps = _followed(piece, response, first)
+            design = of_poses @ follow
             observed[poses] = design[:, :, m]
             part = design[:, :, :m] @ root
             white_spread += np.einsum('kij,klj->il', J @ S[poses], J, optimize=True)
@@ -339,7 +338,7 @@ class _Evaluator:
             steps = slice(first, first + len(piece.walk))
             after = slice(first + 1, first + 1 + len(piece.walk))
             K, L = piece.walk[:, :, :6], piece.walk[:, :, 6:12]
-            design = (piece.walk[:, :, 12:] - K @ response[steps] - L @ response[after]) @ follow
+            design = of_steps @ follow
             walked[steps] = design[:, :, m]
             part = design[:, :, :m] @ root
             variance = ((K @ S[steps] + 2 * L @ C[steps].transpose(0, 2, 1)) * K).sum(axis=2)
@@ -432,6 +431,21 @@ class _Posterior:
     walk_spread: FloatArray
     white_spread: FloatArray
     leverage: FloatArray
+
+
+def _followed(
+    piece: Linearisation, response: FloatArray, first: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the equations (n, 6, m + 1) of poses and of steps after the bodies have followed.
+
+    ``first`` is the first pose of the piece in the (N, 6, m + 1) ``response``.
+    """
+    bodies = response[first:first + len(piece.observation)]
+    observed = piece.observation[:, :, 6:] - piece.observation[:, :, :6] @ bodies
+    end = first + len(piece.walk)
+    walked = (piece.walk[:, :, 12:] - piece.walk[:, :, :6] @ response[first:end]
+              - piece.walk[:, :, 6:12] @ response[first + 1:end + 1])
+    return observed, walked
 
 
 def _inner(left: FloatArray, right: FloatArray) -> FloatArray:

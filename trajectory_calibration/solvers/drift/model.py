@@ -135,9 +135,9 @@ class State:
     time_offset: float
 
     @classmethod
-    def start(cls, chain: Chain, T_a_b: FloatArray, scale: float = 1.0) -> State:
+    def start(cls, chain: Chain, T_a_b: FloatArray) -> State:
         """Put sensor b where a sees it."""
-        return cls(T_a_b, chain.poses_a @ T_a_b, scale, np.zeros(3), 0.0)
+        return cls(T_a_b, chain.poses_a @ T_a_b, 1.0, np.zeros(3), 0.0)
 
     def moved(self, parameters: FloatArray, bodies: FloatArray) -> State:
         """Return the state after the steps (PARAMETERS,) and (N, 6)."""

@@ -94,8 +94,9 @@ def _estimate(pairs: PosePairs, terms: Mapping[str, str]) -> Fit:
         return fit(coarse, best.state, best.noise, best.terms)
     while every > 1:
         thinned, every = every, max(every // _REFINEMENT, 1)
-        best = _refine(best, Chain.from_pairs(pairs, every), thinned / every, final=every == 1)
-        best = _revise(best, optional, final=every == 1)
+        tolerance = 1.0 if every == 1 else _ROUGH
+        best = _refine(best, Chain.from_pairs(pairs, every), thinned / every, tolerance)
+        best = _revise(best, optional, tolerance)
     return best
 
 
@@ -106,12 +107,12 @@ def optional_terms(terms: Mapping[str, str]) -> tuple[str, ...]:
                  if terms[name] == 'auto' and not _excluded(name, wanted))
 
 
-def _refine(best: Fit, chain: Chain, finer: float, *, final: bool) -> Fit:
+def _refine(best: Fit, chain: Chain, finer: float, tolerance: float) -> Fit:
     """Fit a chain with ``finer`` times as many steps, from what a coarser one found."""
     state = replace(best.state, bodies=chain.poses_a @ best.state.T_a_b)
     noise = best.noise.carried_to(chain, finer)
     state = settled(chain, state, noise, best.terms)
-    return fit(chain, state, noise, best.terms, tolerance=1.0 if final else _ROUGH)
+    return fit(chain, state, noise, best.terms, tolerance=tolerance)
 
 
 def _best_start(pairs: PosePairs, every: int, chain: Chain) -> Fit:
@@ -196,8 +197,8 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
         best = candidate
 
 
-def _revise(best: Fit, optional: tuple[str, ...], *, final: bool) -> Fit:
-    """Judge the optional terms again with all poses; refit where the verdict changes."""
+def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
+    """Judge the optional terms again on a finer chain; refit where the verdict changes."""
     terms = []
     for name in TERM_COLUMNS:
         if name in optional:
@@ -219,7 +220,7 @@ def _revise(best: Fit, optional: tuple[str, ...], *, final: bool) -> Fit:
         state = replace(state, systematic_drift=np.zeros(3))
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
-    return fit(best.chain, state, best.noise, terms, tolerance=1.0 if final else _ROUGH)
+    return fit(best.chain, state, best.noise, terms, tolerance=tolerance)
 
 
 def _excluded(name: str, terms: Sequence[str]) -> bool:
