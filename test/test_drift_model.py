@@ -259,8 +259,8 @@ def test_directions_without_information_do_not_move():
 def test_white_noise_follows_the_lever_arm():
     rng = np.random.default_rng(5)
     T_a_b = random_pose(rng)
-    noise = Noise(np.log([0.01**2, 0.02**2, 1, 1, 1, 1]), np.ones((2, 3)), np.zeros((3, 2)),
-                  np.ones(2), np.full(2, 0.1))
+    noise = Noise(np.log([0.01**2, 0.02**2, 1, 1, 1, 1]), np.ones((2, 3)), np.zeros((3, 1)),
+                  np.zeros((3, 2)), np.ones(2), np.full(2, 0.1))
     samples = 200_000
     n_a, n_b = (rng.normal(size=(samples, 6)) * np.repeat([0.01, 0.02], 3) for _ in range(2))
     poses_a = se3.from_rotation_translation(se3.exp_so3(n_a[:, 3:]), n_a[:, :3])

@@ -143,23 +143,13 @@ def nearest_rotation(matrices: ArrayLike) -> FloatArray:
     return U @ Vt
 
 
-def _coefficients(phi: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (1 - cos a) / a^2, (a - sin a) / a^3 and (1 - a cot(a / 2) / 2) / a^2."""
-    a2 = np.einsum('...i,...i->...', phi, phi)
-    small = a2 < _SMALL_ANGLE**2
-    s2 = np.where(small, 1.0, a2)
-    a = np.sqrt(s2)
-    half_cot = 0.5 * a * np.cos(0.5 * a) / np.sin(0.5 * a)
-    first = np.where(small, 0.5 - a2 / 24 + a2**2 / 720, (1 - np.cos(a)) / s2)
-    second = np.where(small, 1 / 6 - a2 / 120 + a2**2 / 5040, (a - np.sin(a)) / (a * s2))
-    third = np.where(small, 1 / 12 + a2 / 720 + a2**2 / 30240, (1 - half_cot) / s2)
-    return first, second, third
-
-
 def left_jacobian_so3(rotation_vectors: ArrayLike) -> FloatArray:
     """Return (..., 3, 3) J with ``exp(phi + d) = exp(J d) exp(phi)`` to first order."""
     phi = np.asarray(rotation_vectors, dtype=np.float64)
-    first, second, _ = _coefficients(phi)
+    a2, small, s2 = _squared_angle(phi)
+    a = np.sqrt(s2)
+    first = np.where(small, 0.5 - a2 / 24 + a2**2 / 720, (1 - np.cos(a)) / s2)
+    second = np.where(small, 1 / 6 - a2 / 120 + a2**2 / 5040, (a - np.sin(a)) / (a * s2))
     K = skew(phi)
     return np.eye(3) + first[..., None, None] * K + second[..., None, None] * (K @ K)
 
@@ -167,9 +157,19 @@ def left_jacobian_so3(rotation_vectors: ArrayLike) -> FloatArray:
 def left_jacobian_so3_inverse(rotation_vectors: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) inverses of ``left_jacobian_so3``, for angles below 2 pi."""
     phi = np.asarray(rotation_vectors, dtype=np.float64)
-    third = _coefficients(phi)[2]
+    a2, small, s2 = _squared_angle(phi)
+    half = 0.5 * np.sqrt(s2)
+    factor = np.where(
+        small, 1 / 12 + a2 / 720 + a2**2 / 30240, (1 - half * np.cos(half) / np.sin(half)) / s2)
     K = skew(phi)
-    return np.eye(3) - 0.5 * K + third[..., None, None] * (K @ K)
+    return np.eye(3) - 0.5 * K + factor[..., None, None] * (K @ K)
+
+
+def _squared_angle(phi: FloatArray) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Return (...) squared lengths, where they are small, and one in place of those."""
+    a2 = np.einsum('...i,...i->...', phi, phi)
+    small = a2 < _SMALL_ANGLE**2
+    return a2, small, np.where(small, 1.0, a2)
 
 
 def exp_se3(tangents: ArrayLike) -> FloatArray:

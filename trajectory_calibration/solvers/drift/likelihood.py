@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.block_chain import BlockChain
@@ -318,34 +319,31 @@ class _Evaluator:
         N, m = len(self.chain), self.m
         S, C = system.partial_inverse()
         eigenvalues, axes = np.linalg.eigh(covariance)
-        root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
-        # All columns at once: the design after the bodies have followed, then the residual.
-        follow = np.concatenate([np.eye(m + 1)[:, :m], np.append(step, 1.0)[:, None]], axis=1)
+        # Of the equations, all at once: their spread with the parameters, then the residual.
+        follow = np.zeros((m + 1, m + 1))
+        follow[:m, :m], follow[:, m] = axes * np.sqrt(np.maximum(eigenvalues, 0.0)), [*step, 1.0]
         observed = np.empty((N, 6))
         walked = np.empty((N - 1, 6))
-        spread = np.empty((N - 1, 2))
+        spread = np.zeros((N - 1, 2))
         leverage = np.empty((N - 1, 2, m))
         white_spread = np.zeros((6, 6))
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))
             J = piece.observation[:, :, :6]
             of_poses, of_steps = _followed(piece, response, first)
-            design = of_poses @ follow
-            observed[poses] = design[:, :, m]
-            part = design[:, :, :m] @ root
+            found = of_poses @ follow
+            part, observed[poses] = found[:, :, :m], found[:, :, m]
             white_spread += np.einsum('kij,klj->il', J @ S[poses], J, optimize=True)
             white_spread += np.tensordot(part, part, ((0, 2), (0, 2)))
             steps = slice(first, first + len(piece.walk))
             after = slice(first + 1, first + 1 + len(piece.walk))
             K, L = piece.walk[:, :, :6], piece.walk[:, :, 6:12]
-            design = of_steps @ follow
-            walked[steps] = design[:, :, m]
-            part = design[:, :, :m] @ root
-            variance = ((K @ S[steps] + 2 * L @ C[steps].transpose(0, 2, 1)) * K).sum(axis=2)
-            variance += ((L @ S[after]) * L).sum(axis=2) + (part**2).sum(axis=2)
-            spread[steps] = variance.reshape(-1, 2, 3).sum(axis=2)
-            product = design[:, :, :m] * design[:, :, m:]
-            leverage[steps] = product.reshape(-1, 2, 3, m).sum(axis=2)
+            found = of_steps @ follow
+            part, walked[steps] = found[:, :, :m], found[:, :, m]
+            both = K @ S[steps] + L @ (2 * C[steps]).transpose(0, 2, 1)
+            for left, right in ((both, K), (L @ S[after], L), (part, part)):
+                spread[steps] += _halves('kgij,kgij->kg', left, right)
+            leverage[steps] = _halves('kgij,kgi->kgj', of_steps[:, :, :m], found[:, :, m])
         squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
         return _Posterior(observed, walked, squares, spread, white_spread, leverage)
 
@@ -442,10 +440,17 @@ def _followed(
     """
     bodies = response[first:first + len(piece.observation)]
     observed = piece.observation[:, :, 6:] - piece.observation[:, :, :6] @ bodies
-    end = first + len(piece.walk)
-    walked = (piece.walk[:, :, 12:] - piece.walk[:, :, :6] @ response[first:end]
-              - piece.walk[:, :, 6:12] @ response[first + 1:end + 1])
-    return observed, walked
+    # The rows of both ends of a step follow each other: (N - 1, 12, m + 1) without a copy.
+    rows = response.reshape(-1, response.shape[2])
+    ends = sliding_window_view(rows, 12, axis=0)[::6].transpose(0, 2, 1)
+    steps = slice(first, first + len(piece.walk))
+    return observed, piece.walk[:, :, 12:] - piece.walk[:, :, :12] @ ends[steps]
+
+
+def _halves(subscripts: str, left: FloatArray, right: FloatArray) -> FloatArray:
+    """Sum products of two (N, 6, ...) as ``subscripts`` says, g translation or rotation."""
+    apart = (values.reshape(len(values), 2, 3, *values.shape[2:]) for values in (left, right))
+    return np.einsum(subscripts, *apart)
 
 
 def _inner(left: FloatArray, right: FloatArray) -> FloatArray:

@@ -56,6 +56,7 @@ class Noise:
     log_variances : (6,), in the order of COMPONENTS: m^2, rad^2 for one pose (each sensor),
         then of the walk per metre and per squared radian.
     profiles : (2, N - 1), metres and squared radians of each step.
+    log_typical : (3, 1), logarithms of one, and of both in a typical step.
     jump_probability : (N - 1, 2), that the step is a jump of translation, of rotation.
     jump_variance : (2,), m^2 and rad^2.
     jump_share : (2,), of the steps.
@@ -64,6 +65,7 @@ class Noise:
 
     log_variances: FloatArray
     profiles: FloatArray
+    log_typical: FloatArray
     jump_probability: FloatArray
     jump_variance: FloatArray
     jump_share: FloatArray
@@ -73,14 +75,13 @@ class Noise:
         """Guess from (N - 1, 6) differences of the steps of both sensors."""
         squares = _squares(steps)
         scale = np.maximum(np.median(squares, axis=0) / _CHI2_MEDIAN, _SMALLEST**2)
-        profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+        profiles, typical = _profiles(chain)
         log_variances = np.log(np.concatenate([
             white_share * scale / 4,
-            (1 - white_share) * scale / 2 / np.median(profiles[0]),
-            (1 - white_share) * scale / 2 / np.mean(profiles[1])]))
+            *((1 - white_share) * scale / 2 / np.exp(typical[1:]))]))
         tail = max(3, len(squares) // 20)
         largest = np.sort(squares, axis=0)[-tail:].mean(axis=0) / 3
-        return cls(log_variances, profiles, np.full(squares.shape, 0.02),
+        return cls(log_variances, profiles, typical, np.full(squares.shape, 0.02),
                    np.maximum(largest, _JUMP_RATIO * scale), np.full(2, 0.02))
 
     def carried_to(self, chain: Chain, finer: float) -> Noise:
@@ -90,13 +91,13 @@ class Noise:
         drowned in the longer steps and has to act again before it can be judged; a walk that the
         longer steps did not show is not there in the shorter ones.
         """
-        profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+        profiles, typical = _profiles(chain)
         parts = np.arange(profiles.shape[1])
         coarse = self.jump_probability
         touched = [np.minimum((ends / finer).astype(int), len(coarse) - 1)
                    for ends in (parts, parts + 1)]
         carried = replace(
-            self, profiles=profiles, jump_share=self.jump_share / finer,
+            self, profiles=profiles, log_typical=typical, jump_share=self.jump_share / finer,
             jump_probability=np.maximum(coarse[touched[0]], coarse[touched[1]]))
         return carried.raised(_HIDDEN, slice(WHITE)).raised(1 / _LARGEST_RATIO)
 
@@ -198,13 +199,18 @@ class Noise:
 
     def _lowest(self, share: float) -> FloatArray:
         """Return the (6,) log variances that are a share of the largest, in a typical step."""
-        typical = np.log(np.stack([np.ones(2), np.median(self.profiles[0]) * np.ones(2),
-                                   np.mean(self.profiles[1]) * np.ones(2)]))
         # Of one typical step; rows: white, by length, by angle.
-        step = self.log_variances.reshape(3, 2) + typical
+        step = self.log_variances.reshape(3, 2) + self.log_typical
         lowest = np.maximum(2 * np.log(_SMALLEST), step.max(axis=0) + np.log(share))
-        result: FloatArray = (lowest - typical).ravel()
+        result: FloatArray = (lowest - self.log_typical).ravel()
         return result
+
+
+def _profiles(chain: Chain) -> tuple[FloatArray, FloatArray]:
+    """Return the ``profiles`` and the ``log_typical`` of a chain."""
+    profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+    typical = np.log([1.0, np.median(profiles[0]), np.mean(profiles[1])])
+    return profiles, typical[:, None]
 
 
 def _squares(vectors: FloatArray) -> FloatArray:

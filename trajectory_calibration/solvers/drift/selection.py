@@ -171,30 +171,43 @@ def _starts(pairs: PosePairs) -> list[tuple[FloatArray, float]]:
 
 
 def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
-    """Take in the optional terms one by one, the best supported first."""
+    """Take in the optional terms one by one, the most promising first."""
     while True:
-        candidates = []
-        for name in optional:
-            if _excluded(name, best.terms) or _gain_of_adding(best, name) < _HOPELESS:
-                continue
-            terms = (*best.terms, name)
-            try:
-                candidate = _compared(best, terms, best.noise.revived())
-            except SolverError:
-                # A term that the motion cannot tell from another one is not supported by it.
-                continue
-            gain = (best.evaluation.objective - candidate.evaluation.objective
-                    - _prior_cost(name, value_of(candidate.state, name)))
-            candidates.append((gain, candidate))
-        if not candidates:
+        promised = {name: _gain_of_adding(best, name) for name in optional
+                    if not _excluded(name, best.terms)}
+        worth_trying = [name for name in promised if promised[name] >= _HOPELESS]
+        # Rivals are compared. Whatever else promises less than they do is left for the next
+        # round, where it would have to be tried again beside the rival that was taken in.
+        groups = ([name for name in worth_trying if name in RIVALS],
+                  [name for name in worth_trying if name not in RIVALS])
+        by_promise = sorted(filter(None, groups), reverse=True,
+                            key=lambda names: max(promised[name] for name in names))
+        taken = next(filter(None, (_supported(best, names) for names in by_promise)), None)
+        if taken is None:
             return best
-        # Of rivals that do as well, the one with fewer parameters.
-        enough = max(gain for gain, _ in candidates) - _SUPPORT
-        gain, candidate = min((pair for pair in candidates if pair[0] >= enough),
-                              key=lambda pair: (len(pair[1].evaluation.parameter_step), -pair[0]))
-        if gain < _SUPPORT:
-            return best
-        best = candidate
+        best = taken
+
+
+def _supported(best: Fit, names: Sequence[str]) -> Fit | None:
+    """Return the fit with the best supported of some terms, or None where none is."""
+    candidates = []
+    for name in names:
+        terms = (*best.terms, name)
+        try:
+            candidate = _compared(best, terms, best.noise.revived())
+        except SolverError:
+            # A term that the motion cannot tell from another one is not supported by it.
+            continue
+        gain = (best.evaluation.objective - candidate.evaluation.objective
+                - _prior_cost(name, value_of(candidate.state, name)))
+        candidates.append((gain, candidate))
+    if not candidates:
+        return None
+    # Of rivals that do as well, the one with fewer parameters.
+    enough = max(gain for gain, _ in candidates) - _SUPPORT
+    gain, candidate = min((pair for pair in candidates if pair[0] >= enough),
+                          key=lambda pair: (len(pair[1].evaluation.parameter_step), -pair[0]))
+    return None if gain < _SUPPORT else candidate
 
 
 def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
