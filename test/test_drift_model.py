@@ -127,11 +127,39 @@ def test_steps_with_a_drift_are_restored():
     rng = np.random.default_rng(1)
     true = rng.normal(size=(50, 3))
     drift = np.array([0.03, -0.02, 0.05])
-    length = np.linalg.norm(true, axis=1)
-    reported = (true + length[:, None] * drift) / 1.1
-    restored, found, _ = corrected_steps(reported, 1.1, drift)
+    reported = (true + np.linalg.norm(true, axis=1)[:, None] * drift) / 1.1
+    arcs = np.linalg.norm(reported, axis=1)[:, None, None] * np.eye(3)
+    restored, _ = corrected_steps(reported, arcs, 1.1, drift)
     np.testing.assert_allclose(restored, true, atol=1e-14)
-    np.testing.assert_allclose(found, length, atol=1e-14)
+    np.testing.assert_array_equal(corrected_steps(0 * true, 0 * arcs, 1.1, drift)[0], 0)
+
+
+def test_a_thinned_chain_knows_that_the_drift_turned():
+    rng = np.random.default_rng(2)
+    drift = np.array([0.003, -0.002, 0.005])
+    poses_a, T_a_b = wander(rng, 201), random_pose(rng)
+    truth = poses_a @ T_a_b
+    steps = se3.inverse(truth[:-1]) @ truth[1:]
+    length = np.linalg.norm(steps[:, :3, 3], axis=1)
+    steps[:, :3, 3] += length[:, None] * drift
+    reported = [np.eye(4)]
+    for step in steps:
+        reported.append(reported[-1] @ step)
+    stamps_ns = 100_000_000 * np.arange(201)
+    pairs = associate_nearest(
+        Trajectory(stamps_ns, poses_a), Trajectory(stamps_ns, np.array(reported)),
+        max_difference_ns=0)
+    second_order = np.linalg.norm(drift)**2 * length.max()
+
+    def largest_residual(chain):
+        state = replace(State.start(chain, T_a_b), systematic_drift=drift)
+        return np.abs(linearise(chain, state, columns_of(()), 0, len(chain)).walk[:, :, -1]).max()
+
+    assert largest_residual(Chain.from_pairs(pairs)) < 1e-12
+    thinned = Chain.from_pairs(pairs, 10)
+    chord = np.linalg.norm(thinned.step_translation, axis=1)[:, None, None] * np.eye(3)
+    assert largest_residual(thinned) < 10 * second_order
+    assert largest_residual(replace(thinned, step_arc=chord)) > 30 * second_order
 
 
 def dense_likelihood(chain, state, noise, columns):

@@ -48,9 +48,9 @@ _SHARES_REVIVED = (0.5, 0.75, 1.0)
 _SLOWEST_PACE = 0.5
 # Added to correlations of the variances, two of which may be the same.
 _RIDGE = 1e-3
-# A trust that was lost grows by this factor in every step that does not turn; slowly, because
-# what turned once tends to turn again, but it must grow or the fit would stop short.
-_REGAINED_BY_VARIANCES, _REGAINED_BY_JUMPS = 1.3, 1.15
+# A trust that was lost grows by this factor in every step that does not turn; by less than the
+# root of two, so that what turns every other step loses more of it than it regains.
+_REGAINED_BY_VARIANCES, _REGAINED_BY_JUMPS = 1.3, 1.4
 # Room that a variance at its limit keeps, because limits must differ.
 _NEXT_TO_NOTHING = 1e-9
 # Converged: parameters, and what the next step of the variances would do to them, move by less

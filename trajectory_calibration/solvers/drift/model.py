@@ -11,7 +11,8 @@ Both are (6,): the difference of the positions in the axes of the predicted pose
 the rotation vector from the predicted to the found rotation (radians). Poses are perturbed on
 the right in the same way: ``t + R rho``, ``R exp(phi)``.
 
-The global terms correct the translation ``p`` of a step of b, ``s p - l d``, and the time:
+The global terms correct the translation ``p`` of a step of b, ``s p - l d``, and the time
+(``corrected_steps`` has the steps of a thinned chain as well):
 
 * ``scale`` s: metres of a per metre of b;
 * ``systematic_drift`` d: (3,) metres per metre moved, along the axes of b; ``l`` is the length
@@ -56,6 +57,8 @@ class Chain:
     poses_a : (N, 4, 4), sensor a in its world.
     twist_a : (N, 6), metres and radians a second in the axes of a, from the neighbouring poses.
     step_rotation, step_translation : (N - 1, 3, 3) and (N - 1, 3), the motion of b, ``dB_k``.
+    step_arc : (N - 1, 3, 3), metres: the length of the step times the identity. Of a step that
+        is several in one, the sum of their lengths, each turned to the axes of its start.
     step_length : (N - 1), metres, from the speed around the step; at least a tenth of the mean.
     step_angle : (N - 1), radians, from the rate of turn around the step.
 
@@ -65,6 +68,7 @@ class Chain:
     twist_a: FloatArray
     step_rotation: FloatArray
     step_translation: FloatArray
+    step_arc: FloatArray
     step_length: FloatArray
     step_angle: FloatArray
 
@@ -88,9 +92,20 @@ class Chain:
             twist_a=twist,
             step_rotation=np.ascontiguousarray(steps[:, :3, :3]),
             step_translation=np.ascontiguousarray(steps[:, :3, 3]),
+            step_arc=_arcs(pairs.poses_b, every),
             step_length=_typical_length(length, duration),
             step_angle=duration * np.sqrt(_mean_around((angle / duration)**2, _TURN_WINDOW)),
         )
+
+
+def _arcs(poses: FloatArray, every: int) -> FloatArray:
+    """Return the (N - 1, 3, 3) ``step_arc`` of every n-th of some poses."""
+    steps = (len(poses) - 1) // every
+    start = poses[:steps * every, :3, :3]
+    length = np.linalg.norm(np.diff(poses[:steps * every + 1, :3, 3], axis=0), axis=1)
+    along = (start * length[:, None, None]).reshape(steps, every, 3, 3).sum(axis=1)
+    arcs: FloatArray = start[::every].transpose(0, 2, 1) @ along
+    return arcs
 
 
 def _typical_length(length: FloatArray, duration: FloatArray) -> FloatArray:
@@ -223,7 +238,8 @@ def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> Floa
     R_t = start[:, :3, :3].transpose(0, 2, 1)
     moved = _apply(R_t, end[:, :3, 3] - start[:, :3, 3])
     relative = dR_t @ (R_t @ end[:, :3, :3])
-    expected, length, by_drift = corrected_steps(p, state.scale, state.systematic_drift)
+    expected, by_drift = corrected_steps(
+        p, chain.step_arc[steps], state.scale, state.systematic_drift)
     rotation = se3.log_so3(relative)
     left_inverse = se3.left_jacobian_so3_inverse(rotation)
     result = np.zeros((len(p), 6, 13 + len(columns)))
@@ -234,8 +250,7 @@ def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> Floa
     result[:, 3:, 9:12] = left_inverse.transpose(0, 2, 1)
     for j, column in enumerate(columns[6:], start=18):
         if column == TERM_COLUMNS['scale'].start:
-            by_scale = p - by_drift_of_length(expected, length, state.systematic_drift, p)
-            result[:, :3, j] = -_apply(dR_t, by_scale)
+            result[:, :3, j] = -_apply(dR_t, expected / state.scale)
         elif column < TERM_COLUMNS['systematic_drift'].stop:
             axis = int(column) - TERM_COLUMNS['systematic_drift'].start
             result[:, :3, j] = _apply(dR_t, by_drift[:, :, axis])
@@ -245,32 +260,28 @@ def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> Floa
 
 
 def corrected_steps(
-    steps: FloatArray, scale: float, drift: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return ``u = s p - |u| d`` of (n, 3) steps p, its (n,) length and -du/dd (n, 3, 3).
+    steps: FloatArray, arcs: FloatArray, scale: float, drift: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what (n, 3) steps p of b truly were, u = ``s (p - f W d)``, and -du/dd (n, 3, 3).
 
-    The drift is counted per metre truly moved, so the length is that of the result: the
-    positive root of ``l^2 (1 - d^2) + 2 l s p.d - s^2 p^2 = 0``.
+    W, ``arcs``, is ``|p|`` where a step is one. The drift d is counted per metre truly moved, so
+    that ``s f |p|`` is the length of the result: the positive root of
+    ``f^2 (1 - d^2) + 2 f e.d - 1 = 0``, e the direction of p. Where a thinned chain has several
+    steps in one, the drift turned with the sensor on the way, and the root is that of the chord:
+    exact to first order of the drift.
     """
-    scaled = scale * steps
-    along = scaled @ drift
-    rest = 1.0 - drift @ drift
-    length = (np.sqrt(along**2 + rest * np.einsum('ij,ij->i', scaled, scaled)) - along) / rest
-    result = scaled - length[:, None] * drift
-    # Differentiating the quadratic: dl/dd = -l u / (l (1 - d^2) + s p.d).
-    slope = np.maximum(length * rest + along, np.finfo(float).tiny)
-    by_length = -(length / slope)[:, None] * result
-    derivative = length[:, None, None] * np.eye(3) + drift[None, :, None] * by_length[:, None, :]
-    return result, length, derivative
-
-
-def by_drift_of_length(
-    corrected: FloatArray, length: FloatArray, drift: FloatArray, steps: FloatArray,
-) -> FloatArray:
-    """Return (n, 3) ``d dl/ds``, how the scale changes what the drift takes off a step."""
-    along = np.einsum('ij,ij->i', corrected, steps)
-    slope = np.maximum(length + corrected @ drift, np.finfo(float).tiny)
-    return (along / slope)[:, None] * drift
+    length = np.linalg.norm(steps, axis=1, keepdims=True)
+    direction = steps / np.maximum(length, np.finfo(float).tiny)
+    along = direction @ drift
+    root = np.sqrt(along**2 + 1.0 - drift @ drift)
+    share = (root - along) / (1.0 - drift @ drift)
+    drifted = arcs @ drift
+    result = scale * (steps - share[:, None] * drifted)
+    # Differentiating the quadratic: df/dd = -f (e - f d) / (f (1 - d^2) + e.d).
+    by_share = -(share / root)[:, None] * (direction - share[:, None] * drift)
+    derivative = scale * (
+        share[:, None, None] * arcs + drifted[:, :, None] * by_share[:, None, :])
+    return result, derivative
 
 
 def _apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
