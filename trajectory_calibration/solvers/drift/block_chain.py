@@ -108,27 +108,24 @@ class BlockChain:
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the (N, n, m) solution of the system with (N, n, m) right-hand sides."""
         n = self.root.shape[0]
-        halves = []
-        for level in self.levels:
-            half = np.empty((level.blocks // 2, *right.shape[1:]))
-            evens = right[0::2].copy()
+        # All levels work in place: of a long chain, new arrays cost more than the sums in them.
+        x = right.copy()
+        for depth, level in enumerate(self.levels):
+            evens, odds = x[::2 << depth], x[1 << depth::2 << depth]
             for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
-                half[first:last] = level.inverse_root[first:last] @ right[2 * first + 1:2 * last:2]
-                update = level.coupling[first:last].transpose(0, 2, 1) @ half[first:last]
+                half = level.inverse_root[first:last] @ odds[first:last]
+                update = level.coupling[first:last].transpose(0, 2, 1) @ half
                 evens[first:last] -= update[:, :n]
                 evens[first + 1:pairs + 1] -= update[:pairs - first, n:]
-            halves.append(half)
-            right = evens
-        x = (self.root.T @ (self.root @ right[0]))[None]
-        for level, half in zip(reversed(self.levels), reversed(halves), strict=True):
-            fine = np.empty((level.blocks, n, x.shape[2]))
-            fine[0::2] = x
+                odds[first:last] = half
+        x[0] = self.root.T @ (self.root @ x[0])
+        for depth, level in reversed(list(enumerate(self.levels))):
+            evens, odds = x[::2 << depth], x[1 << depth::2 << depth]
             for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
-                own = half[first:last] - level.coupling[first:last, :, :n] @ x[first:last]
-                own[:pairs - first] -= level.coupling[first:pairs, :, n:] @ x[first + 1:pairs + 1]
-                fine[2 * first + 1:2 * last:2] = (
-                    level.inverse_root[first:last].transpose(0, 2, 1) @ own)
-            x = fine
+                own = odds[first:last] - level.coupling[first:last, :, :n] @ evens[first:last]
+                own[:pairs - first] -= (
+                    level.coupling[first:pairs, :, n:] @ evens[first + 1:pairs + 1])
+                odds[first:last] = level.inverse_root[first:last].transpose(0, 2, 1) @ own
         return x
 
     def partial_inverse(self) -> tuple[FloatArray, FloatArray]:

@@ -127,9 +127,11 @@ def warnings_of(diagnosis: Diagnosis) -> tuple[str, ...]:
         found.append(f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
                      'b was corrected')
     if diagnosis.time_offset_deviation_s is not None:
-        found.append(
-            f'clock offset {1e3 * diagnosis.time_offset_s:+.1f} ms'
-            f' (+- {1e3 * diagnosis.time_offset_deviation_s:.1f} ms) added to the stamps of b')
+        deviation = 1e3 * diagnosis.time_offset_deviation_s
+        # A long drive tells microseconds: no deviation of +- 0.0.
+        digits = 1 if deviation >= 0.1 else 4
+        found.append(f'clock offset {1e3 * diagnosis.time_offset_s:+.{digits}f} ms'
+                     f' (+- {deviation:.{digits}f} ms) added to the stamps of b')
     if diagnosis.systematic_drift_deviation is not None:
         x, y, z = (f'{value:+.2%}' for value in diagnosis.systematic_drift)
         found.append(
