@@ -8,8 +8,9 @@ import pytest
 
 from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.association import associate_nearest
+from trajectory_calibration.errors import SolverError
 from trajectory_calibration.solvers.drift.block_chain import BlockChain
-from trajectory_calibration.solvers.drift.fit import columns_of, first_noise
+from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, fit
 from trajectory_calibration.solvers.drift.likelihood import (
     evaluate,
     global_likelihood,
@@ -160,6 +161,16 @@ def test_a_thinned_chain_knows_that_the_drift_turned():
     chord = np.linalg.norm(thinned.step_translation, axis=1)[:, None, None] * np.eye(3)
     assert largest_residual(thinned) < 10 * second_order
     assert largest_residual(replace(thinned, step_arc=chord)) > 30 * second_order
+
+
+@pytest.mark.parametrize(('terms', 'needed'), [
+    (('scale', 'systematic_drift'), 'scale_mode or systematic_drift_mode auto'),
+    (('systematic_drift',), 'check units and frames')])
+def test_terms_that_run_away_are_named(problem, terms, needed):
+    chain, state, noise = problem
+    state = replace(state, systematic_drift=np.array([0.6, 0, 0]))
+    with pytest.raises(SolverError, match=needed):
+        fit(chain, state, noise, terms)
 
 
 def dense_likelihood(chain, state, noise, columns):

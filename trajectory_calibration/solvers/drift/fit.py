@@ -330,8 +330,12 @@ def _evaluate(
     chain: Chain, state: State, noise: Noise, columns: IndexArray, power: float,
 ) -> Evaluation:
     reason = None
+    needed = 'trajectories of one vehicle in metres; check units and frames, or try dnlo'
     if np.linalg.norm(state.systematic_drift) > _LARGEST_DRIFT or state.scale <= 0:
         reason = f'scale {state.scale:.3g}, drift {np.round(state.systematic_drift, 3)} a metre'
+        if {*columns_of(('scale', 'systematic_drift'))} <= {*columns}:
+            needed = ('scale_mode or systematic_drift_mode auto, because they are the same where '
+                      'a vehicle drives forward')
     else:
         try:
             evaluation = evaluate(chain, state, noise, columns, power)
@@ -341,6 +345,5 @@ def _evaluate(
             if np.isfinite(evaluation.objective):
                 return evaluation
             reason = 'numbers out of range'
-    raise SolverError(
-        f'drift_aware: the equations of {len(chain)} poses cannot be solved ({reason}); needed '
-        'trajectories of one vehicle in metres; check units and frames, or try dnlo')
+    raise SolverError(f'drift_aware: the equations of {len(chain)} poses cannot be solved '
+                      f'({reason}); needed {needed}')
