@@ -126,6 +126,14 @@ def test_a_single_pose_is_refused_in_words_of_what_was_asked(tmp_path, capsys):
                        '--noise', 'jumps=0') == 0
 
 
+def test_more_poses_than_fit_are_refused_before_they_are_drawn(tmp_path, capsys):
+    assert simulate_to(tmp_path, '--duration', '1e6', '--rate-b', '1e6') == 2
+    assert capsys.readouterr().err == (
+        'error: 1000000.0 s at 1000000.0 hertz are 1,000,000,000,001 poses of camera, needed at '
+        'most 20,000,000; lower the duration or the rate\n')
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize('offset', ['-1700000000', '400000000'])
 def test_the_largest_clock_offsets_can_be_written(tmp_path, capsys, offset):
     for file_format in FORMATS:

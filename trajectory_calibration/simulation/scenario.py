@@ -22,6 +22,9 @@ _CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
 # Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
 _REACH = 0.5
 
+# Poses of one sensor: two days at 100 hertz, some gigabytes of memory.
+_MOST_POSES = 20_000_000
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -85,6 +88,11 @@ class Scenario:
                 raise ConfigError(
                     f'{self.duration} s at {sensor.rate} hertz are {poses} pose of '
                     f'{sensor.sensor_frame}, needed at least 2; raise the duration or the rate')
+            if poses > _MOST_POSES:
+                raise ConfigError(
+                    f'{self.duration} s at {sensor.rate} hertz are {poses:,} poses of '
+                    f'{sensor.sensor_frame}, needed at most {_MOST_POSES:,}; lower the duration '
+                    'or the rate')
 
 
 @dataclass(frozen=True, eq=False)
