@@ -57,10 +57,13 @@ class Chain:
     poses_a : (N, 4, 4), sensor a in its world.
     twist_a : (N, 6), metres and radians a second in the axes of a, from the neighbouring poses.
     step_rotation, step_translation : (N - 1, 3, 3) and (N - 1, 3), the motion of b, ``dB_k``.
-    step_arc : (N - 1, 3, 3), metres: the length of the step times the identity. Of a step that
-        is several in one, the sum of their lengths, each turned to the axes of its start.
+    step_arc : (N - 1, 3, 3), metres: the length of the step times the identity.
     step_length : (N - 1), metres, from the speed around the step; at least a tenth of the mean.
-    step_angle : (N - 1), radians, from the rate of turn around the step.
+    step_turn : (N - 1), squared radians, from the rate of turn around the step.
+
+    Where every n-th pose is taken, n steps in one, their lengths and squared turns are added up,
+    so that variances by them are the same whatever n; the arcs, too, each turned to the axes in
+    which the step in one begins.
 
     """
 
@@ -70,7 +73,7 @@ class Chain:
     step_translation: FloatArray
     step_arc: FloatArray
     step_length: FloatArray
-    step_angle: FloatArray
+    step_turn: FloatArray
 
     def __len__(self) -> int:
         return len(self.poses_a)
@@ -81,31 +84,34 @@ class Chain:
         poses_a, poses_b = pairs.poses_a[::every], pairs.poses_b[::every]
         duration = np.diff(pairs.stamps_ns[::every]) * 1e-9
         steps = se3.inverse(poses_b[:-1]) @ poses_b[1:]
-        length = np.linalg.norm(steps[:, :3, 3], axis=1)
-        angle = se3.rotation_angle(steps[:, :3, :3])
         twist = np.empty((len(poses_a), 6))
         step_twist = se3.log_se3(se3.inverse(poses_a[:-1]) @ poses_a[1:]) / duration[:, None]
         twist[0], twist[-1] = step_twist[0], step_twist[-1]
         twist[1:-1] = 0.5 * (step_twist[:-1] + step_twist[1:])
+        arc, length, turn = (
+            part[:len(steps) * every].reshape(len(steps), every, *part.shape[1:]).sum(axis=1)
+            for part in _driven(pairs))
         return cls(
             poses_a=poses_a,
             twist_a=twist,
             step_rotation=np.ascontiguousarray(steps[:, :3, :3]),
             step_translation=np.ascontiguousarray(steps[:, :3, 3]),
-            step_arc=_arcs(pairs.poses_b, every),
-            step_length=_typical_length(length, duration),
-            step_angle=duration * np.sqrt(_mean_around((angle / duration)**2, _TURN_WINDOW)),
+            step_arc=poses_b[:-1, :3, :3].transpose(0, 2, 1) @ arc,
+            step_length=length,
+            step_turn=turn,
         )
 
 
-def _arcs(poses: FloatArray, every: int) -> FloatArray:
-    """Return the (N - 1, 3, 3) ``step_arc`` of every n-th of some poses."""
-    steps = (len(poses) - 1) // every
-    start = poses[:steps * every, :3, :3]
-    length = np.linalg.norm(np.diff(poses[:steps * every + 1, :3, 3], axis=0), axis=1)
-    along = (start * length[:, None, None]).reshape(steps, every, 3, 3).sum(axis=1)
-    arcs: FloatArray = start[::every].transpose(0, 2, 1) @ along
-    return arcs
+def _driven(pairs: PosePairs) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return of all K - 1 steps of b the arcs in its world, the lengths and the squared turns."""
+    R = pairs.poses_b[:, :3, :3]
+    duration = np.diff(pairs.stamps_ns) * 1e-9
+    length = np.linalg.norm(np.diff(pairs.poses_b[:, :3, 3], axis=0), axis=1)
+    # The matrices of two rotations differ by the root of eight times the sine of half the angle.
+    chord = np.sqrt(np.square(np.diff(R, axis=0)).sum(axis=(1, 2)) / 8)
+    rate = 2 * np.arcsin(np.minimum(chord, 1.0)) / duration
+    return (R[:-1] * length[:, None, None], _typical_length(length, duration),
+            duration**2 * _mean_around(rate**2, _TURN_WINDOW))
 
 
 def _typical_length(length: FloatArray, duration: FloatArray) -> FloatArray:

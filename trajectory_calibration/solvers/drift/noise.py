@@ -208,7 +208,7 @@ class Noise:
 
 def _profiles(chain: Chain) -> tuple[FloatArray, FloatArray]:
     """Return the ``profiles`` and the ``log_typical`` of a chain."""
-    profiles = np.stack([chain.step_length, chain.step_angle**2 + 1e-12])
+    profiles = np.stack([chain.step_length, chain.step_turn + 1e-12])
     typical = np.log([1.0, np.median(profiles[0]), np.mean(profiles[1])])
     return profiles, typical[:, None]
 
