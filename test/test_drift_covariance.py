@@ -11,7 +11,7 @@ from trajectory_calibration.association import associate, PosePairs
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import quadratic
-from trajectory_calibration.solvers.drift import averaging, consistency
+from trajectory_calibration.solvers.drift import averaging, consistency, covariance
 from trajectory_calibration.solvers.drift.covariance import in_parent_axes
 from trajectory_calibration.solvers.drift.fit import columns_of
 from trajectory_calibration.solvers.drift.model import Chain, State
@@ -63,7 +63,7 @@ def test_lags_that_disagree_are_a_warning_and_widen():
         solution, fit = solve_pairs(pairs, FIXED), estimate(pairs, FIXED)
         check = consistency.check_lags(fit)
         told = [text for text in solution.warnings if 'short and long motions disagree' in text]
-        assert len(told) == (check.excess > 1)
+        assert len(told) == (check.statistic >= consistency.SIGNIFICANT)
         warned += len(told)
         model = in_parent_axes(fit.evaluation.covariance, fit.state.T_a_b)
         assert np.all(np.diag(solution.covariance) > 0.99 * check.excess * np.diag(model))
@@ -72,6 +72,28 @@ def test_lags_that_disagree_are_a_warning_and_widen():
             assert f'at least {np.sqrt(check.excess):.1f} times' in text
     # Drives of two minutes with errors of four seconds: half of them show it.
     assert warned > 2
+
+
+def test_evidence_counts_by_degrees():
+    def excess(statistic):
+        return consistency.LagCheck(1, np.zeros(6), np.eye(6), statistic).excess
+
+    statistics = np.linspace(5, 40, 3501)
+    found = np.array([excess(statistic) for statistic in statistics])
+    assert np.abs(np.diff(found)).max() < 0.02
+    assert np.all(found[statistics < 14.4] == 1)
+    np.testing.assert_allclose(found[statistics > 19.6], statistics[statistics > 19.6] / 6)
+
+    # The sums of the blocks scatter by this many times what the model says, along one axis.
+    gradients = np.tile(np.repeat([1.0, -1.0], 6).reshape(2, 6), (10, 1))
+    gradients[:, 1:] = 0
+    gradients /= np.linalg.norm(gradients) * np.sqrt(20 / 19)
+    ratios = np.linspace(0.5, 10, 951)
+    widened = np.array([covariance._widened(np.eye(6), np.sqrt(ratio) * gradients, 1.0)[0, 0]
+                        for ratio in ratios])
+    assert np.abs(np.diff(widened)).max() < 0.1
+    assert np.all(widened[ratios < 2.4] == 1)
+    np.testing.assert_allclose(widened[ratios > 3.1], ratios[ratios > 3.1])
 
 
 def test_long_drives_are_judged_by_stretches(monkeypatch):

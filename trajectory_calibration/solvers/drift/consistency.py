@@ -28,9 +28,10 @@ LAGS = (1, 2, 5, 10, 20, 50)
 _MOTIONS = 4
 # Of long drives, this many stretches of consecutive poses, evenly spread.
 _STRETCHES, _STRETCH = 8, 2500
-# Chi-squared of six degrees of freedom that chance exceeds once in three hundred: with six lags,
-# one data set in fifty would be suspected wrongly.
-SIGNIFICANT = 19.55
+# Chi-squared of six degrees of freedom that chance exceeds once in forty, and once in three
+# hundred: with six lags, one data set in fifty would be suspected wrongly. Between the two the
+# evidence counts by degrees, so that no answer hangs on which side of a limit it falls.
+_DOUBTFUL, SIGNIFICANT = 14.45, 19.55
 # Weights of square metres and square radians: nine entries of a rotation move by sqrt(2) a radian.
 _WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
@@ -56,11 +57,12 @@ class LagCheck:
     @property
     def excess(self) -> float:
         """Return how many times larger variances are than the model says; 1 without evidence."""
-        return self.statistic / 6 if self.statistic > SIGNIFICANT else 1.0
+        return 1.0 + (self.statistic / 6 - 1.0) * float(
+            np.clip((self.statistic - _DOUBTFUL) / (SIGNIFICANT - _DOUBTFUL), 0.0, 1.0))
 
     def warnings(self, T_a_b: FloatArray) -> tuple[str, ...]:
         """Return a sentence where the lags disagree: what stands out most, along the axes of a."""
-        if self.excess == 1.0:
+        if self.statistic < SIGNIFICANT:
             return ()
         turn = np.kron(np.eye(2), T_a_b[:3, :3])
         difference = turn @ self.difference

@@ -21,9 +21,10 @@ from trajectory_calibration.solvers.drift.likelihood import BLOCKS
 from trajectory_calibration.solvers.drift.model import EXTRINSIC
 from trajectory_calibration.solvers.drift.selection import RIVALS
 
-# How far the scatter of so few blocks may exceed its expectation before it counts. The largest
-# eigenvalue of m parameters over n blocks is near (1 + sqrt(m / (n - 1)))^2; it stays below this
-# many times that in 99 of 100 data sets whose noise is the model's (m from 6 to 11).
+# How far the scatter of so few blocks may exceed its expectation before it counts in full. The
+# largest eigenvalue of m parameters over n blocks is near (1 + sqrt(m / (n - 1)))^2; it stays
+# below this many times that in 99 of 100 data sets whose noise is the model's (m from 6 to 11).
+# From that expectation on it counts by degrees: no answer hangs on a limit.
 _SIGNIFICANT = 1.25
 
 
@@ -81,8 +82,9 @@ def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatAr
     sums = gradients @ root
     sums -= sums.mean(axis=0)
     inflation, directions = np.linalg.eigh(sums.T @ sums * BLOCKS / (BLOCKS - 1))
-    chance = _SIGNIFICANT * (1 + np.sqrt(len(model) / (BLOCKS - 1)))**2
-    inflation = np.maximum(np.where(inflation > chance, inflation, 1.0), excess)
+    expected = (1 + np.sqrt(len(model) / (BLOCKS - 1)))**2
+    counted = np.clip((inflation / expected - 1) / (_SIGNIFICANT - 1), 0.0, 1.0)
+    inflation = np.maximum(1 + counted * (inflation - 1), excess)
     spread = root @ directions
     covariance: FloatArray = (spread * inflation) @ spread.T
     return covariance
