@@ -73,6 +73,9 @@ def test_block_chain_against_dense_algebra(blocks):
     inverse = np.linalg.inv(H).reshape(blocks, n, blocks, n).transpose(0, 2, 1, 3)
     np.testing.assert_allclose(
         chain.solve(right).reshape(-1, 2), np.linalg.solve(H, right.reshape(-1, 2)), atol=1e-11)
+    np.testing.assert_allclose(
+        chain.quadratic_form(right),
+        right.reshape(-1, 2).T @ np.linalg.solve(H, right.reshape(-1, 2)), atol=1e-11)
     np.testing.assert_allclose(chain.log_determinant, np.linalg.slogdet(H)[1], atol=1e-11)
     np.testing.assert_allclose(diagonal, inverse[k, k], atol=1e-11)
     np.testing.assert_allclose(upper, inverse[k[:-1], k[1:]], atol=1e-11)
@@ -171,6 +174,15 @@ def test_terms_that_run_away_are_named(problem, terms, needed):
     state = replace(state, systematic_drift=np.array([0.6, 0, 0]))
     with pytest.raises(SolverError, match=needed):
         fit(chain, state, noise, terms)
+
+
+def test_variances_by_length_and_turn_carry_over_to_a_thinned_chain():
+    pairs, _ = noisy_pairs(np.random.default_rng(4), 205)
+    full, thinned = Chain.from_pairs(pairs), Chain.from_pairs(pairs, 10)
+    assert len(thinned) == 21
+    for part in ('step_length', 'step_turn'):
+        np.testing.assert_allclose(
+            getattr(thinned, part), getattr(full, part)[:200].reshape(20, 10).sum(axis=1))
 
 
 def dense_likelihood(chain, state, noise, columns):

@@ -70,6 +70,8 @@ class BlockChain:
     def factor(cls, diagonal: FloatArray, upper: FloatArray) -> BlockChain:
         """Factor the matrix with (N, n, n) diagonal and (N - 1, n, n) blocks to their right.
 
+        Both are overwritten.
+
         Raises
         ------
         numpy.linalg.LinAlgError
@@ -77,82 +79,105 @@ class BlockChain:
 
         """
         n = diagonal.shape[-1]
-        levels = []
+        levels: list[_Level] = []
         log_determinant = 0.0
-        D, E = diagonal, upper
-        while len(D) > 1:
-            odd, after = len(D) // 2, (len(D) - 1) // 2
-            level = _Level(np.empty((odd, n, n)), np.zeros((odd, n, 2 * n)), len(D))
-            evens, E_next = D[0::2].copy(), np.empty((after, n, n))
-            for first, last, pairs in _pieces(odd, after):
-                L = np.linalg.cholesky(D[2 * first + 1:2 * last:2])
+        blocks = len(diagonal)
+        while blocks > 1:
+            odd, after = blocks // 2, (blocks - 1) // 2
+            level = _Level(np.empty((odd, n, n)), np.zeros((odd, n, 2 * n)), blocks)
+            evens, odds = _halves(diagonal, len(levels))
+            # To the right of the even ones; of the odd ones, but the last may have no neighbour.
+            to_odds, to_evens = _halves(upper, len(levels))
+            for first, last, pairs in _pieces(blocks):
+                L = np.linalg.cholesky(odds[first:last])
                 log_determinant += 2 * float(
                     np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
                 inverse_root = _inverse_of_lower(L)
                 coupling = np.zeros((len(L), n, 2 * n))
-                coupling[:, :, :n] = E[2 * first:2 * last:2].transpose(0, 2, 1)
-                coupling[:pairs - first, :, n:] = E[2 * first + 1:2 * pairs:2]
+                coupling[:, :, :n] = to_odds[first:last].transpose(0, 2, 1)
+                coupling[:pairs - first, :, n:] = to_evens[first:pairs]
                 coupling = inverse_root @ coupling
                 # A copy: of a matrix and its own transpose NumPy takes the slower product.
                 update = coupling.transpose(0, 2, 1).copy() @ coupling
                 level.inverse_root[first:last], level.coupling[first:last] = inverse_root, coupling
                 evens[first:last] -= update[:, :n, :n]
                 evens[first + 1:pairs + 1] -= update[:pairs - first, n:, n:]
-                E_next[first:pairs] = -update[:pairs - first, :n, n:]
+                to_odds[first:pairs] = -update[:pairs - first, :n, n:]
             levels.append(level)
-            D, E = evens, E_next
-        L = np.linalg.cholesky(D[0])
+            blocks = after + 1
+        L = np.linalg.cholesky(diagonal[0])
         log_determinant += 2 * float(np.log(np.diagonal(L)).sum())
         return cls(tuple(levels), np.linalg.inv(L), log_determinant)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the (N, n, m) solution of the system with (N, n, m) right-hand sides."""
         n = self.root.shape[0]
-        # All levels work in place: of a long chain, new arrays cost more than the sums in them.
-        x = right.copy()
-        for depth, level in enumerate(self.levels):
-            evens, odds = x[::2 << depth], x[1 << depth::2 << depth]
-            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
-                half = level.inverse_root[first:last] @ odds[first:last]
-                update = level.coupling[first:last].transpose(0, 2, 1) @ half
-                evens[first:last] -= update[:, :n]
-                evens[first + 1:pairs + 1] -= update[:pairs - first, n:]
-                odds[first:last] = half
-        x[0] = self.root.T @ (self.root @ x[0])
+        x = self._reduce(right)
+        x[0] = self.root.T @ x[0]
         for depth, level in reversed(list(enumerate(self.levels))):
-            evens, odds = x[::2 << depth], x[1 << depth::2 << depth]
-            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
+            evens, odds = _halves(x, depth)
+            for first, last, pairs in _pieces(level.blocks):
                 own = odds[first:last] - level.coupling[first:last, :, :n] @ evens[first:last]
                 own[:pairs - first] -= (
                     level.coupling[first:pairs, :, n:] @ evens[first + 1:pairs + 1])
                 odds[first:last] = level.inverse_root[first:last].transpose(0, 2, 1) @ own
         return x
 
+    def quadratic_form(self, right: FloatArray) -> FloatArray:
+        """Return (m, m), the (N, n, m) right-hand sides times their solutions; half a solution."""
+        x = self._reduce(right).reshape(-1, right.shape[2])
+        product: FloatArray = x.T @ x
+        return product
+
+    def _reduce(self, right: FloatArray) -> FloatArray:
+        """Return (N, n, m), the right-hand sides times the inverse root of the matrix."""
+        n = self.root.shape[0]
+        x = right.copy()
+        for depth, level in enumerate(self.levels):
+            evens, odds = _halves(x, depth)
+            for first, last, pairs in _pieces(level.blocks):
+                half = level.inverse_root[first:last] @ odds[first:last]
+                update = level.coupling[first:last].transpose(0, 2, 1) @ half
+                evens[first:last] -= update[:, :n]
+                evens[first + 1:pairs + 1] -= update[:pairs - first, n:]
+                odds[first:last] = half
+        x[0] = self.root @ x[0]
+        return x
+
     def partial_inverse(self) -> tuple[FloatArray, FloatArray]:
         """Return the (N, n, n) diagonal and (N - 1, n, n) right blocks of the inverse."""
         n = self.root.shape[0]
-        S = (self.root.T @ self.root)[None]
-        C = np.zeros((0, n, n))
-        for level in reversed(self.levels):
-            fine_S = np.empty((level.blocks, n, n))
-            fine_C = np.empty((level.blocks - 1, n, n))
-            fine_S[0::2] = S
-            for first, last, pairs in _pieces(level.blocks // 2, (level.blocks - 1) // 2):
+        blocks = self.levels[0].blocks if self.levels else 1
+        diagonal, upper = np.empty((blocks, n, n)), np.empty((blocks - 1, n, n))
+        diagonal[0] = self.root.T @ self.root
+        for depth, level in reversed(list(enumerate(self.levels))):
+            evens, odds = _halves(diagonal, depth)
+            to_odds, to_evens = _halves(upper, depth)
+            for first, last, pairs in _pieces(level.blocks):
                 joint = np.zeros((last - first, 2 * n, 2 * n))
-                joint[:, :n, :n] = S[first:last]
-                joint[:pairs - first, n:, n:] = S[first + 1:pairs + 1]
-                joint[:pairs - first, :n, n:] = C[first:pairs]
-                joint[:pairs - first, n:, :n] = C[first:pairs].transpose(0, 2, 1)
+                joint[:, :n, :n] = evens[first:last]
+                joint[:pairs - first, n:, n:] = evens[first + 1:pairs + 1]
+                # Of the coarser level: from even to even.
+                joint[:pairs - first, :n, n:] = to_odds[first:pairs]
+                joint[:pairs - first, n:, :n] = to_odds[first:pairs].transpose(0, 2, 1)
                 root, coupling = level.inverse_root[first:last], level.coupling[first:last]
                 root_t = root.transpose(0, 2, 1)
                 cross = -(root_t @ coupling) @ joint
                 # Copies: of a transpose on the right NumPy takes the slower product.
                 V_t = coupling.transpose(0, 2, 1).copy() @ root
-                fine_S[2 * first + 1:2 * last:2] = root_t.copy() @ root - cross @ V_t
-                fine_C[2 * first:2 * last:2] = cross[:, :, :n].transpose(0, 2, 1)
-                fine_C[2 * first + 1:2 * pairs:2] = cross[:pairs - first, :, n:]
-            S, C = fine_S, fine_C
-        return S, C
+                odds[first:last] = root_t.copy() @ root - cross @ V_t
+                to_odds[first:last] = cross[:, :, :n].transpose(0, 2, 1)
+                to_evens[first:pairs] = cross[:pairs - first, :, n:]
+        return diagonal, upper
+
+
+def _halves(blocks: FloatArray, depth: int) -> tuple[FloatArray, FloatArray]:
+    """Return views of the even and of the odd blocks of a level: all of it happens in place.
+
+    Of a long chain, new arrays would cost more than the sums in them. What leads from a block to
+    the next one of its level stands where the block stands.
+    """
+    return blocks[::2 << depth], blocks[1 << depth::2 << depth]
 
 
 def _inverse_of_lower(L: _Array) -> _Array:
@@ -178,11 +203,9 @@ def _inverse_of_lower(L: _Array) -> _Array:
     return inverse
 
 
-def _pieces(odd: int, after: int) -> Iterator[tuple[int, int, int]]:
-    """Yield first and last of the odd blocks of a piece, and the last with a right neighbour.
-
-    ``after`` of the blocks have one.
-    """
+def _pieces(blocks: int) -> Iterator[tuple[int, int, int]]:
+    """Yield first and last of the odd blocks of a piece, and the last with a right neighbour."""
+    odd, after = blocks // 2, (blocks - 1) // 2
     for first in range(0, odd, _PIECE):
         last = min(first + _PIECE, odd)
         yield first, last, min(last, after)

@@ -240,7 +240,7 @@ class _Evaluator:
             solved.system, solved.response, solved.step, solved.covariance)
         score, traces = self.score(posterior)
         information, sensitivity = self.score_information(
-            solved.system, solved.border[:, :, :self.m], solved.covariance, posterior)
+            solved.system, solved.response, solved.covariance, posterior)
         return Evaluation(
             objective=self.objective(solved),
             covariance=solved.covariance + FREE_VARIANCE * solved.free,
@@ -365,7 +365,7 @@ class _Evaluator:
         return score, float(traces)
 
     def score_information(
-        self, system: BlockChain, border: FloatArray, covariance: FloatArray,
+        self, system: BlockChain, response: FloatArray, covariance: FloatArray,
         posterior: _Posterior,
     ) -> tuple[FloatArray, FloatArray]:
         """Return the (6, 6) average information of the log variances, the (m, 6) sensitivity."""
@@ -395,9 +395,8 @@ class _Evaluator:
             right[first + 1:first + 1 + len(piece.walk), :, WHITE:] += product[:, 6:]
             corner[:, WHITE:] += _inner(
                 piece.walk[:, :, 12:12 + m], walked[steps])
-        solution = system.solve(right)
-        corner -= _inner(border, solution)
-        total = -_inner(right, solution) - corner.T @ covariance @ corner
+        corner -= _inner(response, right)[:m]
+        total = -system.quadratic_form(right) - corner.T @ covariance @ corner
         total[:WHITE, :WHITE] += _inner(observed, self.white @ observed)
         variance = np.repeat(1 / self.walk_precision, 3, axis=1)[:, :, None]
         total[WHITE:, WHITE:] += _inner(walked, variance * walked)
