@@ -25,6 +25,7 @@ from trajectory_calibration.solvers.drift.model import (
     TERM_COLUMNS,
 )
 from trajectory_calibration.solvers.drift.noise import Noise
+from trajectory_calibration.solvers.drift.pool import Pool
 
 ALL_TERMS = tuple(TERM_COLUMNS)
 
@@ -183,6 +184,52 @@ def test_variances_by_length_and_turn_carry_over_to_a_thinned_chain():
     for part in ('step_length', 'step_turn'):
         np.testing.assert_allclose(
             getattr(thinned, part), getattr(full, part)[:200].reshape(20, 10).sum(axis=1))
+
+
+@pytest.fixture(name='pooled')
+def fixture_pooled(monkeypatch):
+    """Treat arrays of a few hundred kilobytes as large."""
+    monkeypatch.setattr('trajectory_calibration.solvers.drift.pool._SMALL', 1 << 15)
+
+
+@pytest.mark.usefixtures('pooled')
+def test_memory_is_given_out_again_when_nothing_refers_to_it():
+    pool = Pool()
+    large = (1000, 6, 10)
+
+    def address(array):
+        return array.__array_interface__['data'][0]
+
+    first = pool.empty(large)
+    part = first[10:].transpose(0, 2, 1)[::3]
+    where = address(first)
+    del first
+    # A view of a view is left.
+    other = pool.zeros(large)
+    assert address(other) != where
+    assert not other.any()
+    del part
+    assert address(pool.empty((900, 60))) == where
+    # A little larger, then far smaller: neither takes that memory.
+    assert not np.shares_memory(larger := pool.empty((1000, 6, 11)), other)
+    assert larger.shape == (1000, 6, 11)
+    assert pool.empty((3, 3)).shape == (3, 3)
+
+
+@pytest.mark.usefixtures('pooled')
+def test_evaluations_that_share_memory_do_not_share_results():
+    rng = np.random.default_rng(6)
+    pairs, T_a_b = noisy_pairs(rng, 3000)
+    chain = Chain.from_pairs(pairs)
+    state = State.start(chain, T_a_b)
+    noise = first_noise(chain, state, 0.5)
+    moved = replace(state, T_a_b=T_a_b @ se3.exp_se3(np.full(6, 0.01)))
+    cases = [(columns_of(terms), at) for terms in ((), ALL_TERMS) for at in (state, moved)]
+    shared = [evaluate(chain, at, noise, columns) for columns, at in cases]
+    for found, (columns, at) in zip(shared, cases, strict=True):
+        alone = evaluate(Chain.from_pairs(pairs), at, noise, columns)
+        for name in ('objective', 'covariance', 'body_response', 'leverage', 'walk_spread'):
+            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name))
 
 
 def dense_likelihood(chain, state, noise, columns):

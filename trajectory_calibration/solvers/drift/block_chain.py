@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.pool import Pool
 
 # What NumPy says of the arrays that its linear algebra returns.
 _Array = NDArray[np.floating[Any]]
@@ -59,18 +60,22 @@ class BlockChain:
     levels : from the finest to the coarsest.
     root : (n, n), the inverse Cholesky factor of the block that remains.
     log_determinant : of the whole matrix.
+    pool : memory for solutions.
 
     """
 
     levels: tuple[_Level, ...]
     root: FloatArray
     log_determinant: float
+    pool: Pool
 
     @classmethod
-    def factor(cls, diagonal: FloatArray, upper: FloatArray) -> BlockChain:
+    def factor(
+        cls, diagonal: FloatArray, upper: FloatArray, pool: Pool | None = None,
+    ) -> BlockChain:
         """Factor the matrix with (N, n, n) diagonal and (N - 1, n, n) blocks to their right.
 
-        Both are overwritten.
+        Both are overwritten; ``pool`` has the memory for the rest.
 
         Raises
         ------
@@ -79,12 +84,13 @@ class BlockChain:
 
         """
         n = diagonal.shape[-1]
+        pool = pool or Pool()
         levels: list[_Level] = []
         log_determinant = 0.0
         blocks = len(diagonal)
         while blocks > 1:
             odd, after = blocks // 2, (blocks - 1) // 2
-            level = _Level(np.empty((odd, n, n)), np.zeros((odd, n, 2 * n)), blocks)
+            level = _Level(pool.empty((odd, n, n)), pool.empty((odd, n, 2 * n)), blocks)
             evens, odds = _halves(diagonal, len(levels))
             # To the right of the even ones; of the odd ones, but the last may have no neighbour.
             to_odds, to_evens = _halves(upper, len(levels))
@@ -107,7 +113,7 @@ class BlockChain:
             blocks = after + 1
         L = np.linalg.cholesky(diagonal[0])
         log_determinant += 2 * float(np.log(np.diagonal(L)).sum())
-        return cls(tuple(levels), np.linalg.inv(L), log_determinant)
+        return cls(tuple(levels), np.linalg.inv(L), log_determinant, pool)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Return the (N, n, m) solution of the system with (N, n, m) right-hand sides."""
@@ -132,7 +138,8 @@ class BlockChain:
     def _reduce(self, right: FloatArray) -> FloatArray:
         """Return (N, n, m), the right-hand sides times the inverse root of the matrix."""
         n = self.root.shape[0]
-        x = right.copy()
+        x = self.pool.empty(right.shape)
+        x[...] = right
         for depth, level in enumerate(self.levels):
             evens, odds = _halves(x, depth)
             for first, last, pairs in _pieces(level.blocks):
@@ -148,7 +155,7 @@ class BlockChain:
         """Return the (N, n, n) diagonal and (N - 1, n, n) right blocks of the inverse."""
         n = self.root.shape[0]
         blocks = self.levels[0].blocks if self.levels else 1
-        diagonal, upper = np.empty((blocks, n, n)), np.empty((blocks - 1, n, n))
+        diagonal, upper = self.pool.empty((blocks, n, n)), self.pool.empty((blocks - 1, n, n))
         diagonal[0] = self.root.T @ self.root
         for depth, level in reversed(list(enumerate(self.levels))):
             evens, odds = _halves(diagonal, depth)
@@ -174,8 +181,7 @@ class BlockChain:
 def _halves(blocks: FloatArray, depth: int) -> tuple[FloatArray, FloatArray]:
     """Return views of the even and of the odd blocks of a level: all of it happens in place.
 
-    Of a long chain, new arrays would cost more than the sums in them. What leads from a block to
-    the next one of its level stands where the block stands.
+    What leads from a block to the next one of its level stands where the block stands.
     """
     return blocks[::2 << depth], blocks[1 << depth::2 << depth]
 

@@ -204,7 +204,10 @@ class _Evaluator:
         self.walk_parts = noise.walk_parts()
         self.narrow = self.walk_parts.sum(axis=0)
         self.walk_precision = noise.walk_precision(self.narrow)
+        self.pool = chain.pool
         self.kept: list[Linearisation] = []
+        self.all = Linearisation(self.pool.empty((len(chain), 6, 7 + self.m)),
+                                 self.pool.empty((len(chain) - 1, 6, 13 + self.m)))
 
     def pieces(self) -> Iterator[tuple[int, Linearisation]]:
         """Yield the first pose and the linearisation of every piece."""
@@ -213,14 +216,16 @@ class _Evaluator:
                 yield first, self.kept[i]
                 continue
             last = min(first + PIECE, len(self.chain))
-            piece = linearise(self.chain, self.state, self.columns, first, last)
+            piece = linearise(
+                self.chain, self.state, self.columns, first, last,
+                Linearisation(self.all.observation[first:last], self.all.walk[first:last]))
             self.kept.append(piece)
             yield first, piece
 
     def eliminate(self) -> tuple[BlockChain, FloatArray, FloatArray, FloatArray]:
         """Return the factorised chain, its border, how the bodies respond, and the corner."""
         diagonal, upper, border, corner = self.normal_equations()
-        system = BlockChain.factor(diagonal, upper)
+        system = BlockChain.factor(diagonal, upper, self.pool)
         return system, border, system.solve(border), corner
 
     def solve(self) -> _Solved:
@@ -271,9 +276,9 @@ class _Evaluator:
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return diagonal, upper, the border with the right-hand side, and the corner."""
         N, m = len(self.chain), self.m
-        diagonal = np.zeros((N, 6, 6))
-        upper = np.empty((N - 1, 6, 6))
-        border = np.zeros((N, 6, m + 1))
+        diagonal = self.pool.zeros((N, 6, 6))
+        upper = self.pool.empty((N - 1, 6, 6))
+        border = self.pool.zeros((N, 6, m + 1))
         corner = np.zeros((m + 1, m + 1))
         for first, piece in self.pieces():
             observation = self.white_root @ piece.observation
@@ -322,10 +327,10 @@ class _Evaluator:
         # Of the equations, all at once: their spread with the parameters, then the residual.
         follow = np.zeros((m + 1, m + 1))
         follow[:m, :m], follow[:, m] = axes * np.sqrt(np.maximum(eigenvalues, 0.0)), [*step, 1.0]
-        observed = np.empty((N, 6))
-        walked = np.empty((N - 1, 6))
-        spread = np.zeros((N - 1, 2))
-        leverage = np.empty((N - 1, 2, m))
+        observed = self.pool.empty((N, 6))
+        walked = self.pool.empty((N - 1, 6))
+        spread = self.pool.zeros((N - 1, 2))
+        leverage = self.pool.empty((N - 1, 2, m))
         white_spread = np.zeros((6, 6))
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))
@@ -372,16 +377,16 @@ class _Evaluator:
         N, m, n = len(self.chain), self.m, len(COMPONENTS)
         weighted = posterior.observed @ self.white_precision
         # R^-1 R_i P y of the observations and of the walk.
-        observed = np.zeros((N, 6, WHITE))
+        observed = self.pool.empty((N, 6, WHITE))
         for i, part in enumerate(self.white_parts):
             observed[:, :, i] = weighted @ part @ self.white_precision
         share = ((1 - self.noise.jump_probability) / self.narrow
                  * self.walk_parts / self.narrow)
-        walked = np.zeros((N - 1, 6, n - WHITE))
+        walked = self.pool.zeros((N - 1, 6, n - WHITE))
         for i in range(n - WHITE):
             rows = slice(3 * (i % 2), 3 * (i % 2) + 3)
             walked[:, rows, i] = share[i // 2, :, i % 2, None] * posterior.walked[:, rows]
-        right = np.zeros((N, 6, n))
+        right = self.pool.zeros((N, 6, n))
         corner = np.zeros((m, n))
         for first, piece in self.pieces():
             poses = slice(first, first + len(piece.observation))

@@ -22,7 +22,7 @@ The global terms correct the translation ``p`` of a step of b, ``s p - l d``, an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from trajectory_calibration import se3
 from trajectory_calibration.association import PosePairs
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.pool import Pool
 
 IndexArray = NDArray[np.intp]
 
@@ -65,6 +66,8 @@ class Chain:
     so that variances by them are the same whatever n; the arcs, too, each turned to the axes in
     which the step in one begins.
 
+    pool : memory for the evaluations of the chain.
+
     """
 
     poses_a: FloatArray
@@ -74,6 +77,7 @@ class Chain:
     step_arc: FloatArray
     step_length: FloatArray
     step_turn: FloatArray
+    pool: Pool = field(default_factory=Pool)
 
     def __len__(self) -> int:
         return len(self.poses_a)
@@ -196,20 +200,26 @@ def perturb(poses: FloatArray, steps: FloatArray) -> FloatArray:
 
 def linearise(
     chain: Chain, state: State, columns: IndexArray, first: int, last: int,
+    into: Linearisation | None = None,
 ) -> Linearisation:
     """Linearise the residuals of the poses first to last - 1 and of the steps from them.
 
-    ``columns`` are the indices of the m global parameters that are estimated.
+    ``columns`` are the indices of the m global parameters that are estimated; the result is
+    written ``into`` arrays that are given.
     """
-    steps = slice(first, min(last, len(chain) - 1))
-    return Linearisation(
-        _observation(chain, state, columns, slice(first, last)),
-        _walk(chain, state, columns, steps))
+    poses, steps = (slice(first, min(last, end)) for end in (len(chain), len(chain) - 1))
+    if into is None:
+        m = len(columns)
+        into = Linearisation(np.empty((poses.stop - first, 6, 7 + m)),
+                             np.empty((steps.stop - first, 6, 13 + m)))
+    _linearise_observation(chain, state, columns, poses, into.observation)
+    _linearise_walk(chain, state, columns, steps, into.walk)
+    return into
 
 
-def _observation(
-    chain: Chain, state: State, columns: IndexArray, poses: slice,
-) -> FloatArray:
+def _linearise_observation(
+    chain: Chain, state: State, columns: IndexArray, poses: slice, result: FloatArray,
+) -> None:
     predicted = chain.poses_a[poses]
     if state.time_offset:
         predicted = predicted @ se3.exp_se3(state.time_offset * chain.twist_a[poses])
@@ -220,7 +230,7 @@ def _observation(
     translation = _apply(R_t, bodies[:, :3, 3] - predicted[:, :3, 3])
     rotation = se3.log_so3(relative)
     left_inverse = se3.left_jacobian_so3_inverse(rotation)
-    result = np.zeros((len(bodies), 6, 7 + len(columns)))
+    result.fill(0.0)
     result[:, :3, :3] = relative
     result[:, 3:, 3:6] = left_inverse.transpose(0, 2, 1)
     # The extrinsic moves the prediction; its six columns always come first.
@@ -233,10 +243,11 @@ def _observation(
         result[:, :, 6 + place[0]] = _apply(result[:, :, 6:12], moved)
     result[:, :3, -1] = translation
     result[:, 3:, -1] = rotation
-    return result
 
 
-def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> FloatArray:
+def _linearise_walk(
+    chain: Chain, state: State, columns: IndexArray, steps: slice, result: FloatArray,
+) -> None:
     start = state.bodies[steps]
     end = state.bodies[steps.start + 1:steps.stop + 1]
     p = chain.step_translation[steps]
@@ -248,7 +259,7 @@ def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> Floa
         p, chain.step_arc[steps], state.scale, state.systematic_drift)
     rotation = se3.log_so3(relative)
     left_inverse = se3.left_jacobian_so3_inverse(rotation)
-    result = np.zeros((len(p), 6, 13 + len(columns)))
+    result.fill(0.0)
     result[:, :3, :3] = -dR_t
     result[:, :3, 3:6] = dR_t @ se3.skew(moved)
     result[:, 3:, 3:6] = -left_inverse @ dR_t
@@ -262,7 +273,6 @@ def _walk(chain: Chain, state: State, columns: IndexArray, steps: slice) -> Floa
             result[:, :3, j] = _apply(dR_t, by_drift[:, :, axis])
     result[:, :3, -1] = _apply(dR_t, moved - expected)
     result[:, 3:, -1] = rotation
-    return result
 
 
 def corrected_steps(
