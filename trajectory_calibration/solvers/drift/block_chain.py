@@ -91,9 +91,9 @@ class BlockChain:
         while blocks > 1:
             odd, after = blocks // 2, (blocks - 1) // 2
             level = _Level(pool.empty((odd, n, n)), pool.empty((odd, n, 2 * n)), blocks)
-            evens, odds = _halves(diagonal, len(levels))
+            evens, odds = _evens_and_odds(diagonal, len(levels))
             # To the right of the even ones; of the odd ones, but the last may have no neighbour.
-            to_odds, to_evens = _halves(upper, len(levels))
+            to_odds, to_evens = _evens_and_odds(upper, len(levels))
             for first, last, pairs in _pieces(blocks):
                 L = np.linalg.cholesky(odds[first:last])
                 log_determinant += 2 * float(
@@ -121,7 +121,7 @@ class BlockChain:
         x = self._reduce(right)
         x[0] = self.root.T @ x[0]
         for depth, level in reversed(list(enumerate(self.levels))):
-            evens, odds = _halves(x, depth)
+            evens, odds = _evens_and_odds(x, depth)
             for first, last, pairs in _pieces(level.blocks):
                 own = odds[first:last] - level.coupling[first:last, :, :n] @ evens[first:last]
                 own[:pairs - first] -= (
@@ -141,7 +141,7 @@ class BlockChain:
         x = self.pool.empty(right.shape)
         x[...] = right
         for depth, level in enumerate(self.levels):
-            evens, odds = _halves(x, depth)
+            evens, odds = _evens_and_odds(x, depth)
             for first, last, pairs in _pieces(level.blocks):
                 half = level.inverse_root[first:last] @ odds[first:last]
                 update = level.coupling[first:last].transpose(0, 2, 1) @ half
@@ -158,8 +158,8 @@ class BlockChain:
         diagonal, upper = self.pool.empty((blocks, n, n)), self.pool.empty((blocks - 1, n, n))
         diagonal[0] = self.root.T @ self.root
         for depth, level in reversed(list(enumerate(self.levels))):
-            evens, odds = _halves(diagonal, depth)
-            to_odds, to_evens = _halves(upper, depth)
+            evens, odds = _evens_and_odds(diagonal, depth)
+            to_odds, to_evens = _evens_and_odds(upper, depth)
             for first, last, pairs in _pieces(level.blocks):
                 joint = np.zeros((last - first, 2 * n, 2 * n))
                 joint[:, :n, :n] = evens[first:last]
@@ -178,7 +178,7 @@ class BlockChain:
         return diagonal, upper
 
 
-def _halves(blocks: FloatArray, depth: int) -> tuple[FloatArray, FloatArray]:
+def _evens_and_odds(blocks: FloatArray, depth: int) -> tuple[FloatArray, FloatArray]:
     """Return views of the even and of the odd blocks of a level: all of it happens in place.
 
     What leads from a block to the next one of its level stands where the block stands.

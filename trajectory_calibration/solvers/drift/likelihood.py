@@ -205,21 +205,18 @@ class _Evaluator:
         self.narrow = self.walk_parts.sum(axis=0)
         self.walk_precision = noise.walk_precision(self.narrow)
         self.pool = chain.pool
-        self.kept: list[Linearisation] = []
+        self.linearised = 0
         self.all = Linearisation(self.pool.empty((len(chain), 6, 7 + self.m)),
                                  self.pool.empty((len(chain) - 1, 6, 13 + self.m)))
 
     def pieces(self) -> Iterator[tuple[int, Linearisation]]:
         """Yield the first pose and the linearisation of every piece."""
-        for i, first in enumerate(range(0, len(self.chain), PIECE)):
-            if i < len(self.kept):
-                yield first, self.kept[i]
-                continue
-            last = min(first + PIECE, len(self.chain))
-            piece = linearise(
-                self.chain, self.state, self.columns, first, last,
-                Linearisation(self.all.observation[first:last], self.all.walk[first:last]))
-            self.kept.append(piece)
+        for first in range(0, len(self.chain), PIECE):
+            last = first + PIECE
+            piece = Linearisation(self.all.observation[first:last], self.all.walk[first:last])
+            if first >= self.linearised:
+                linearise(self.chain, self.state, self.columns, first, last, piece)
+                self.linearised = last
             yield first, piece
 
     def eliminate(self) -> tuple[BlockChain, FloatArray, FloatArray, FloatArray]:
@@ -236,8 +233,8 @@ class _Evaluator:
         schur = 0.5 * (schur + schur.T)
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
         gradient = schur[:m, m] - self.scale_power * self.is_scale / self.state.scale
-        return _Solved(system, border, response, schur, covariance, free, log_information,
-                       -covariance @ gradient)
+        return _Solved(
+            system, response, schur, covariance, free, log_information, -covariance @ gradient)
 
     def run(self) -> Evaluation:
         solved = self.solve()
@@ -411,10 +408,9 @@ class _Evaluator:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """The factorised chain, its border and response, and the global parameters' equations."""
+    """The factorised chain, its response, and the global parameters' equations."""
 
     system: BlockChain
-    border: FloatArray
     response: FloatArray
     schur: FloatArray
     covariance: FloatArray
