@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig, MotionError
+from trajectory_calibration import calibrate, CalibrationConfig, MotionError, SolverError
 from trajectory_calibration.agreement import require_agreement
 from trajectory_calibration.association import associate
 from trajectory_calibration.simulation import Scenario, SCENARIOS, simulate, Wander
+from trajectory_calibration.solvers.drift.selection import estimate
 
 DRIVE = replace(SCENARIOS['offroad'], duration=60.0)
 
@@ -20,6 +21,26 @@ def test_two_vehicles(solver, seed):
     config = CalibrationConfig(solver=solver, reference='B5', time_offset_mode='fixed')
     with pytest.raises(MotionError, match='did not turn together'):
         calibrate(a, b, config)
+
+
+def test_two_vehicles_that_leave_a_solver_without_an_answer(monkeypatch):
+    def unsolvable(*_):
+        raise SolverError('numbers out of range')
+
+    monkeypatch.setattr('trajectory_calibration.solvers.drift_aware.solve', unsolvable)
+    config = CalibrationConfig(reference='B5')
+    runs = [simulate(DRIVE, seed) for seed in (0, 50)]
+    with pytest.raises(MotionError, match='did not turn together'):
+        calibrate(runs[0].a, runs[1].b, replace(config, time_offset_mode='fixed'))
+    with pytest.raises(SolverError, match='out of range'):
+        calibrate(runs[0].a, runs[0].b, config)
+
+
+def test_rivals_are_never_taken_in_together():
+    pairs = associate(simulate(DRIVE, 0).a, simulate(DRIVE, 50).b)
+    terms = dict.fromkeys(('scale', 'systematic_drift'), 'auto')
+    found = estimate(pairs, {**terms, 'time_offset': 'fixed'}).terms
+    assert found in {(), ('scale',), ('systematic_drift',)}
 
 
 @pytest.mark.parametrize('offset', [6.0, 20.0])

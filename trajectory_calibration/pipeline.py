@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from trajectory_calibration.agreement import require_agreement
 from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import SolverError
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe, require_observed
@@ -64,9 +67,15 @@ def calibrate(
     )
     choice = choose_reference(pairs, config)
     motions = select_motions(pairs, choice.reference)
-    solution = solve(motions, config)
-    require_agreement(
-        solution.T_a_b, pairs, trajectory_a.sensor_frame, trajectory_b.sensor_frame)
+    names = trajectory_a.sensor_frame, trajectory_b.sensor_frame
+    try:
+        solution = solve(motions, config)
+    except SolverError:
+        # What two vehicles did may have no solution, which is then not what is wrong.
+        with suppress(SolverError):
+            require_agreement(load_solver('park')(motions, config).T_a_b, pairs, *names)
+        raise
+    require_agreement(solution.T_a_b, pairs, *names)
     uncertainty = estimate_uncertainty(solution, motions)
     if choice.known is not None:
         uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)

@@ -212,19 +212,17 @@ def _supported(best: Fit, names: Sequence[str]) -> Fit | None:
 
 def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
     """Judge the optional terms again on a finer chain; refit where the verdict changes."""
-    terms = []
-    for name in TERM_COLUMNS:
-        if name in optional:
-            if name in best.terms:
-                supported = _gain_of_keeping(best, name) > 0
-            else:
-                supported = (not _excluded(name, best.terms)
-                             and _gain_of_adding(best, name) > _SUPPORT)
-        else:
-            supported = name in best.terms
-        if supported:
-            terms.append(name)
-    if tuple(terms) == best.terms:
+    kept = [name for name in best.terms
+            if name not in optional or _gain_of_keeping(best, name) > 0]
+    gains = {name: _gain_of_adding(best, name) for name in optional
+             if not _excluded(name, best.terms)}
+    added = [name for name, gain in gains.items() if gain > _SUPPORT]
+    if {*RIVALS} <= {*added}:
+        # Of rivals that do as well, the one with fewer parameters.
+        added.remove('scale' if gains['systematic_drift'] > gains['scale'] + _SUPPORT
+                     else 'systematic_drift')
+    terms = tuple(name for name in TERM_COLUMNS if name in kept or name in added)
+    if {*terms} == {*best.terms}:
         return best
     state = best.state
     if 'scale' not in terms:
