@@ -175,13 +175,11 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
     while True:
         promised = {name: _gain_of_adding(best, name) for name in optional
                     if not _excluded(name, best.terms)}
-        worth_trying = [name for name in promised if promised[name] >= _HOPELESS]
-        # Rivals are compared. Whatever else promises less than they do is left for the next
-        # round, where it would have to be tried again beside the rival that was taken in.
-        groups = ([name for name in worth_trying if name in RIVALS],
-                  [name for name in worth_trying if name not in RIVALS])
-        by_promise = sorted(filter(None, groups), reverse=True,
-                            key=lambda names: max(promised[name] for name in names))
+        # Whatever promises less than the best of its rivals is left for the next round, where
+        # it would have to be tried again beside what was taken in.
+        by_promise = sorted(
+            _rivals([name for name in promised if promised[name] >= _HOPELESS]),
+            key=lambda names: max(promised[name] for name in names), reverse=True)
         taken = next(filter(None, (_supported(best, names) for names in by_promise)), None)
         if taken is None:
             return best
@@ -189,25 +187,19 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
 
 
 def _supported(best: Fit, names: Sequence[str]) -> Fit | None:
-    """Return the fit with the best supported of some terms, or None where none is."""
-    candidates = []
+    """Return the fit with one of some rivals, or None where none is supported."""
+    fits, gains = {}, {}
     for name in names:
-        terms = (*best.terms, name)
         try:
-            candidate = _compared(best, terms, best.noise.revived())
+            fits[name] = _compared(best, (*best.terms, name), best.noise.revived())
         except SolverError:
             # A term that the motion cannot tell from another one is not supported by it.
             continue
-        gain = (best.evaluation.objective - candidate.evaluation.objective
-                - _prior_cost(name, value_of(candidate.state, name)))
-        candidates.append((gain, candidate))
-    if not candidates:
-        return None
-    # Of rivals that do as well, the one with fewer parameters.
-    enough = max(gain for gain, _ in candidates) - _SUPPORT
-    gain, candidate = min((pair for pair in candidates if pair[0] >= enough),
-                          key=lambda pair: (len(pair[1].evaluation.parameter_step), -pair[0]))
-    return None if gain < _SUPPORT else candidate
+        gains[name] = (
+            best.evaluation.objective - fits[name].evaluation.objective
+            - _prior_cost(name, value_of(fits[name].state, name)))
+    chosen = _choice(gains)
+    return None if chosen is None else fits[chosen]
 
 
 def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
@@ -216,11 +208,7 @@ def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
             if name not in optional or _gain_of_keeping(best, name) > 0]
     gains = {name: _gain_of_adding(best, name) for name in optional
              if not _excluded(name, best.terms)}
-    added = [name for name, gain in gains.items() if gain > _SUPPORT]
-    if {*RIVALS} <= {*added}:
-        # Of rivals that do as well, the one with fewer parameters.
-        added.remove('scale' if gains['systematic_drift'] > gains['scale'] + _SUPPORT
-                     else 'systematic_drift')
+    added = [_choice({name: gains[name] for name in names}) for names in _rivals([*gains])]
     terms = tuple(name for name in TERM_COLUMNS if name in kept or name in added)
     if {*terms} == {*best.terms}:
         return best
@@ -232,6 +220,24 @@ def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
     if 'time_offset' not in terms:
         state = replace(state, time_offset=0.0)
     return fit(best.chain, state, best.noise, terms, tolerance=tolerance)
+
+
+def _rivals(names: Sequence[str]) -> list[list[str]]:
+    """Return some terms in groups of those that explain the same data."""
+    groups = [[name for name in names if name in RIVALS],
+              *([name] for name in names if name not in RIVALS)]
+    return [group for group in groups if group]
+
+
+def _choice(gains: Mapping[str, float]) -> str | None:
+    """Return the rival to take in, or None; ``gains`` are twice the log Bayes factors."""
+    if not gains:
+        return None
+    # Of those that do as well, the one with fewer parameters.
+    enough = max(gains.values()) - _SUPPORT
+    name = min((name for name in gains if gains[name] >= enough),
+               key=lambda name: TERM_COLUMNS[name].stop - TERM_COLUMNS[name].start)
+    return name if gains[name] >= _SUPPORT else None
 
 
 def _excluded(name: str, terms: Sequence[str]) -> bool:
