@@ -89,7 +89,7 @@ class BlockChain:
         log_determinant = 0.0
         blocks = len(diagonal)
         while blocks > 1:
-            odd, after = blocks // 2, (blocks - 1) // 2
+            odd = blocks // 2
             level = _Level(pool.empty((odd, n, n)), pool.empty((odd, n, 2 * n)), blocks)
             evens, odds = _evens_and_odds(diagonal, len(levels))
             # To the right of the even ones; of the odd ones, but the last may have no neighbour.
@@ -110,7 +110,7 @@ class BlockChain:
                 evens[first + 1:pairs + 1] -= update[:pairs - first, n:, n:]
                 to_odds[first:pairs] = -update[:pairs - first, :n, n:]
             levels.append(level)
-            blocks = after + 1
+            blocks -= odd
         L = np.linalg.cholesky(diagonal[0])
         log_determinant += 2 * float(np.log(np.diagonal(L)).sum())
         return cls(tuple(levels), np.linalg.inv(L), log_determinant, pool)
