@@ -116,13 +116,17 @@ def split(
 
 def scaled_to_unknown(directions: FloatArray) -> FloatArray:
     """Return (K, 6) directions as long as the unknown may be; see ``UNKNOWN``."""
-    length = np.abs(directions / UNKNOWN).max(axis=1, initial=0.0)
-    return directions / np.maximum(length, np.finfo(float).tiny)[:, None]
+    # What they span is open, not each by itself: lengthened one by one until its translation is
+    # unknown, a rotation that comes along with it would pass for known.
+    _, _, basis = np.linalg.svd(directions / UNKNOWN, full_matrices=False)
+    scaled: FloatArray = basis * UNKNOWN
+    return scaled
 
 
 def opens_rotation(directions: FloatArray) -> bool:
-    """Return whether any of (K, 6) directions is one of the rotation."""
-    return bool((np.abs(directions[:, 3:] / UNKNOWN[3:]) > _SUSPECT_SHARE).any())
+    """Return whether a rotation is open in the span of (K, 6) directions, scaled as above."""
+    share = np.linalg.norm(directions[:, 3:] / UNKNOWN[3:], axis=0)
+    return bool((share > _SUSPECT_SHARE).any())
 
 
 def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:

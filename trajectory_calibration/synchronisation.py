@@ -241,7 +241,8 @@ def _refine(
         # The start is within a cell of the best offset.
         shift = float(np.clip(shift - float(slope) / curvature, -widest, widest))
     # Motions that overlap share their noise: each counts as one of ``step``.
-    variance = disagreement(shift) / (3 * len(i)) * min(step, len(i))
+    # Without noise the disagreement is rounding, which may fall below zero.
+    variance = max(disagreement(shift), 0.0) / (3 * len(i)) * min(step, len(i))
     std = np.hypot(np.sqrt(2 * variance / curvature), _STEP_SHARE * step_a)
     return offset_ns * 1e-9 + shift, float(std)
 

@@ -9,7 +9,8 @@ used, only the pose pairs they were made from. ``docs/drift_aware.md`` has the d
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             'from motion; record longer or use dnl')
     _require_motion(pairs)
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
-    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         unit = 1.0 if terms['scale'] == 'fixed' else _unit(pairs)
         fit = estimate(pairs.scaled(unit), terms)
         lags = check_lags(fit)
@@ -83,6 +84,17 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,
     )
+
+
+@contextmanager
+def _named_errors(pairs: PosePairs) -> Iterator[None]:
+    """Name what the algebra could not do: motion so degenerate that a matrix has no inverse."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise SolverError(
+            f'drift_aware: the equations of {len(pairs)} poses cannot be solved ({error}); needed '
+            'motion of both sensors, with turns about several axes') from error
 
 
 def _unit(pairs: PosePairs) -> float:

@@ -113,11 +113,17 @@ def weigh(
         as_it_is[own] = found.mean[place[own]]
         value[own] += taken_over
     # Measured: a term of zero, with the variance of its prior.
-    total = found.covariance[np.ix_(place, place)] + variances[..., None] * np.eye(len(place))
+    prior = variances[..., None] * np.eye(len(place))
+    total = found.covariance[np.ix_(place, place)] + prior
     across = found.covariance[EXTRINSIC, place]
     gain = across @ np.linalg.inv(total)
     step = found.mean[EXTRINSIC] - gain @ value
-    covariance = found.covariance[EXTRINSIC, EXTRINSIC] - gain @ across.T
+    # In Joseph's form: the difference of two large matrices may leave less than nothing.
+    taken = np.zeros((*gain.shape[:-1], len(found.columns)))
+    taken[..., EXTRINSIC] = np.eye(6)
+    taken[..., place] = -gain
+    covariance = (taken @ found.covariance @ np.swapaxes(taken, -1, -2)
+                  + gain @ prior @ np.swapaxes(gain, -1, -2))
     priors = [_LOG_PRIOR if name is not None else np.zeros(1) for name in (term, time_offset)]
     return Hypotheses(
         log_evidence=_log_normal(value, total),

@@ -17,7 +17,7 @@ import numpy as np
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaussian, joined, weigh
 from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
-from trajectory_calibration.solvers.drift.likelihood import BLOCKS
+from trajectory_calibration.solvers.drift.likelihood import BLOCKS, FREE_VARIANCE
 from trajectory_calibration.solvers.drift.model import EXTRINSIC
 from trajectory_calibration.solvers.drift.selection import RIVALS
 
@@ -79,14 +79,17 @@ def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatAr
     """Return the (m, m) covariance, larger where the (BLOCKS, m) gradients ask for it."""
     eigenvalues, axes = np.linalg.eigh(model)
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
+    # The gradient along a direction without information is rounding: no scatter to learn from.
+    free = eigenvalues > 0.5 * FREE_VARIANCE
+    open_root, root = root[:, free], root[:, ~free]
     sums = gradients @ root
     sums -= sums.mean(axis=0)
     inflation, directions = np.linalg.eigh(sums.T @ sums * BLOCKS / (BLOCKS - 1))
-    expected = (1 + np.sqrt(len(model) / (BLOCKS - 1)))**2
+    expected = (1 + np.sqrt(len(inflation) / (BLOCKS - 1)))**2
     counted = np.clip((inflation / expected - 1) / (_SIGNIFICANT - 1), 0.0, 1.0)
     inflation = np.maximum(1 + counted * (inflation - 1), excess)
     spread = root @ directions
-    covariance: FloatArray = (spread * inflation) @ spread.T
+    covariance: FloatArray = (spread * inflation) @ spread.T + open_root @ open_root.T
     return covariance
 
 

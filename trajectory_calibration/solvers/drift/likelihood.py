@@ -177,7 +177,9 @@ def invert_information(
     Returns the inverse over the observed directions, the (m, m) projector on the others, and
     the logarithm of the determinant over the observed ones.
     """
-    root = np.sqrt(np.diag(scale))
+    # A parameter that acts on nothing has no scale: the scale of a b that did not move.
+    diagonal = np.diag(scale)
+    root = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     eigenvalues, axes = np.linalg.eigh(information / np.outer(root, root))
     seen = eigenvalues > _ROUNDING
     scaled = axes / root[:, None]

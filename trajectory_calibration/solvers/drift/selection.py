@@ -195,9 +195,8 @@ def _supported(best: Fit, names: Sequence[str]) -> Fit | None:
         except SolverError:
             # A term that the motion cannot tell from another one is not supported by it.
             continue
-        gains[name] = (
-            best.evaluation.objective - fits[name].evaluation.objective
-            - _prior_cost(name, value_of(fits[name].state, name)))
+        gains[name] = (best.evaluation.objective - fits[name].evaluation.objective
+                       - _prior_cost(name, *_estimated(fits[name], name)))
     chosen = _choice(gains)
     return None if chosen is None else fits[chosen]
 
@@ -254,21 +253,33 @@ def _gain_of_adding(best: Fit, name: str) -> float:
 
 
 def _gain_of_keeping(best: Fit, name: str) -> float:
-    place = term_columns(columns_of(best.terms), name)
-    return _gain(
-        name, value_of(best.state, name), best.evaluation.covariance[np.ix_(place, place)])
+    return _gain(name, *_estimated(best, name))
+
+
+def _estimated(found: Fit, name: str) -> tuple[FloatArray, FloatArray]:
+    """Return the value and the covariance of an estimated term."""
+    place = term_columns(columns_of(found.terms), name)
+    return value_of(found.state, name), found.evaluation.covariance[np.ix_(place, place)]
 
 
 def _gain(name: str, value: FloatArray, covariance: FloatArray) -> float:
     statistic = float(value @ np.linalg.solve(covariance, value))
-    return statistic + float(np.linalg.slogdet(covariance)[1]) - _prior_cost(name, value)
+    log_volume = float(np.linalg.slogdet(covariance)[1])
+    return statistic + log_volume - _prior_cost(name, value, covariance)
 
 
-def _prior_cost(name: str, value: FloatArray) -> float:
-    """Return -2 log of the Cauchy prior, less the Gaussian constant of Laplace's method."""
+def _prior_cost(name: str, value: FloatArray, covariance: FloatArray) -> float:
+    """Return -2 log of the Cauchy prior, less the Gaussian constant of Laplace's method.
+
+    Where the data leave the term more open than the prior does, the volume of what is possible
+    is that of both together, or nothing at all would support a term that was not measured. The
+    precision of the prior is its expectation as a mixture of normals.
+    """
     scale = PRIOR_SCALE[name]
     density = np.pi * scale * (1 + (value / scale)**2)
-    return float(2 * np.log(density).sum() - len(value) * np.log(2 * np.pi))
+    precision = 2 / (scale**2 + value**2)
+    shrunk = float(np.linalg.slogdet(np.eye(len(value)) + covariance * precision)[1])
+    return float(2 * np.log(density).sum() - len(value) * np.log(2 * np.pi)) + shrunk
 
 
 def value_of(state: State, name: str) -> FloatArray:
