@@ -5,8 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig, MotionError, SolverError
-from trajectory_calibration.agreement import require_agreement
+from trajectory_calibration import (
+    calibrate,
+    CalibrationConfig,
+    MotionError,
+    se3,
+    SolverError,
+    Trajectory,
+)
+from trajectory_calibration.agreement import parted_steps, require_agreement
 from trajectory_calibration.association import associate
 from trajectory_calibration.simulation import Scenario, SCENARIOS, simulate, Wander
 from trajectory_calibration.solvers.drift.selection import estimate
@@ -68,3 +75,42 @@ def test_hardly_any_turning_is_not_judged():
     wrong = run.T_a_b.copy()
     wrong[:3, :3] = wrong[:3, :3] @ np.diag([1.0, -1.0, -1.0])
     require_agreement(wrong, associate(run.a, run.b), 'a', 'b')
+
+
+def begun_anew(run, gap_s=600.0):
+    """Return the drive twice, the second time in other worlds and ``gap_s`` later."""
+    worlds = [se3.from_rotation_translation(se3.exp_so3([0.0, 0.0, angle]), [5.0, 0.0, 0.0])
+              for angle in (0.5, 2.5)]
+    return [Trajectory(
+        np.concatenate([one.stamps_ns, one.stamps_ns + round((gap_s + 60) * 1e9)]),
+        np.concatenate([one.poses, world @ one.poses]), sensor_frame=name)
+        for one, world, name in zip((run.a, run.b), worlds, 'ab', strict=True)]
+
+
+def test_a_slam_that_began_anew_is_said():
+    run = simulate(DRIVE, 0)
+    pairs = associate(*begun_anew(run))
+    (warning,) = parted_steps(pairs)
+    assert 'turned apart in 1 steps' in warning
+    assert '600 s from' in warning
+    assert parted_steps(associate(run.a, run.b)) == ()
+    a, b = begun_anew(run)
+    assert warning in calibrate(a, b, CalibrationConfig(solver='dnl', reference='B5')).warnings
+    found = calibrate(a, b)
+    assert warning not in found.warnings
+    assert found.absolute_errors(run.T_a_b).e_at < 0.02
+
+
+@pytest.mark.parametrize('name', sorted(SCENARIOS))
+def test_no_step_of_one_vehicle_parts(name):
+    scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
+    for seed in range(12):
+        run = simulate(scenario, seed)
+        assert parted_steps(associate(run.a, run.b)) == ()
+
+
+def test_one_sensor_given_twice_is_said():
+    a = simulate(DRIVE, 0).a
+    again = replace(a, sensor_frame='camera')
+    assert any('same poses, digit for digit' in warning
+               for warning in calibrate(a, again).warnings)

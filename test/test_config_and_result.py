@@ -52,6 +52,7 @@ def test_a_default_is_what_the_paper_says():
     ({'dnlo_min_inliers': 1.5}, 'dnlo_min_inliers is 1.5, needed 0 to 1'),
     ({'association': 'closest'}, 'needed one of auto, interpolate, nearest'),
     ({'solver': 'dnl', 'scale_mode': 'estimate'}, 'scale_mode is estimate, which dnl cannot'),
+    ({'time_offset_mode': 'estimate', 'max_time_offset': 0.0}, 'needed more than 0 seconds'),
     ({'max_gab': 1.0}, "setting 'max_gab' is unknown; known are solver, reference"),
 ])
 def test_wrong_settings_are_refused_with_the_right_ones(values, message):
@@ -90,6 +91,7 @@ def test_a_value_that_is_given_is_known():
     assert CalibrationConfig(time_offset=0.1, time_offset_mode='estimate').mode(
         'time_offset') == 'estimate'
     assert CalibrationConfig(scale=0.98).mode('scale') == 'fixed'
+    assert CalibrationConfig(max_time_offset=0.0).mode('time_offset') == 'fixed'
     assert CalibrationConfig().mode('systematic_drift') == 'auto'
 
 

@@ -124,6 +124,22 @@ def test_a_fixed_component_is_exact(solver):
     assert found.observability.status['y'] == 'prior'
 
 
+@pytest.mark.parametrize('opened', [10.0, 1e3])
+@pytest.mark.parametrize('known', [1e-9, 1e-5, 1e-2])
+def test_a_fixed_component_is_exact_beside_a_direction_that_is_open(opened, known):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        axes, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+        covariance = (axes * np.array([opened, *[known] * 5])**2) @ axes.T
+        # Anything along the open direction is possible; the prior asks for some of it.
+        step = 0.05 * axes[:, 0]
+        prior = parse_prior(text(step[:3]), '0', '', '')
+        T_a_b, after = apply_prior(np.eye(4), covariance, prior)
+        np.testing.assert_allclose(T_a_b[:3, 3], prior.translation, atol=1e-10)
+        np.testing.assert_allclose(np.diag(after)[:3], 0, atol=1e-20)
+        assert np.linalg.eigvalsh(after).min() > -1e-15 * after.max()
+
+
 def test_a_fixed_rotation_is_exact():
     truth = simulate(SCENARIOS['noise'], 2).T_a_b
     found, _ = run_with(SCENARIOS['noise'], 2, solver='dnl', prior_rotation=text(rpy(truth)),

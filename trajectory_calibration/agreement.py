@@ -30,6 +30,9 @@ _LEAST_TURNS = 5
 # 1 for such as have nothing in common. Median over the turns.
 _DISAGREEMENT = 0.05
 
+# Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
+_PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
+
 
 def require_agreement(T_a_b: FloatArray, pairs: PosePairs, frame_a: str, frame_b: str) -> None:
     """Raise MotionError where the sensors turned, but not together.
@@ -41,8 +44,32 @@ def require_agreement(T_a_b: FloatArray, pairs: PosePairs, frame_a: str, frame_b
         raise MotionError(
             f'{frame_a} and {frame_b} did not turn together: half of their turns differ by more '
             f'than {np.sqrt(2 * min(found)):.0%}; needed two trajectories of one vehicle '
-            'at the same time: check the topics or files, and the clocks (max_time_offset is how '
-            'far apart they may be)')
+            'at the same time: check the topics or files, the order of their quaternions (x, y, '
+            'z, w), and the clocks (max_time_offset is how far apart they may be)')
+
+
+def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
+    """Return a warning where the sensors turned apart within a single step.
+
+    A SLAM that began anew, between two bags for instance, has another world: motions across it
+    are none. How far each turned tells it whatever the extrinsic. For solvers that do not find
+    such steps themselves.
+    """
+    angle_a, angle_b = (
+        np.linalg.norm(se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=1)
+        for R in (pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]))
+    apart = np.abs(angle_a - angle_b)
+    found = np.flatnonzero(apart > max(_PARTED, _PARTED_USUAL * float(np.median(apart))))
+    if not len(found):
+        return ()
+    k = int(found[apart[found].argmax()])
+    pause = (pairs.stamps_ns[k + 1] - pairs.stamps_ns[k]) * 1e-9
+    warning = (
+        f'the sensors turned apart in {len(found)} steps, the most by '
+        f'{np.rad2deg(apart[k]):.3g} deg, {pause:.3g} s from {pairs.stamps_ns[k] * 1e-9:.3f} s: a '
+        'SLAM that began anew or closed a loop has another world, and motions across it are '
+        'none; use drift_aware, which sets such steps aside, or calibrate each part alone')
+    return (warning,)
 
 
 def _disagreement(T_a_b: FloatArray, pairs: PosePairs, lag: int) -> float | None:

@@ -160,16 +160,21 @@ class CalibrationConfig:
                 raise ConfigError(
                     f'{term}_mode is estimate, which {self.solver} cannot; use solver '
                     'drift_aware, or set it to fixed')
+        if self.time_offset_mode == 'estimate' and self.max_time_offset == 0:
+            raise ConfigError('time_offset_mode is estimate and max_time_offset 0, needed more '
+                              'than 0 seconds to look in, or time_offset_mode fixed')
         # Read now, so that a mistake shows before any data is loaded.
         _ = self.prior
 
     def mode(self, term: str) -> str:
         """Return 'fixed', 'estimate' or 'auto' for 'time_offset', 'scale', 'systematic_drift'.
 
-        A value that is given is known: it turns 'auto' into 'fixed'.
+        A value that is given is known: it turns 'auto' into 'fixed', as does a time offset that
+        may not be any.
         """
         mode: str = getattr(self, f'{term}_mode')
-        given = getattr(self, term, None) != getattr(type(self), term, None)
+        given = getattr(self, term, None) != getattr(type(self), term, None) or (
+            term == 'time_offset' and self.max_time_offset == 0)
         return 'fixed' if mode == 'auto' and given else mode
 
     @property

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from trajectory_calibration.agreement import require_agreement
+import numpy as np
+
+from trajectory_calibration.agreement import parted_steps, require_agreement
 from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import SolverError
@@ -108,6 +110,7 @@ def calibrate(
             *trajectory_b.warnings,
             *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
             *_offset_warning(time_offset, config.time_offset, trajectory_b),
+            *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.warnings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
             *uncertainty.warnings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
@@ -126,13 +129,17 @@ def _offset_warning(found_s: float, given_s: float, b: Trajectory) -> list[str]:
 def _association_warnings(
     summary: AssociationSummary, a: Trajectory, b: Trajectory,
 ) -> list[str]:
-    """Name what the association left unused, where it is much, and frames that cannot be told."""
+    """Name what the association left unused, where it is much, and sensors that are one."""
     warnings = []
     for count, where in ((summary.in_gaps, f'fall in gaps of {a.sensor_frame}'),
                          (summary.outside, f'lie outside the time of {a.sensor_frame}')):
         share = count / summary.poses_b
         if share > _UNPAIRED_SHARE:
             warnings.append(f'{share:.0%} of the poses of {b.sensor_frame} {where}')
+    if np.array_equal(a.poses, b.poses):
+        warnings.append(
+            f'{a.sensor_frame} and {b.sensor_frame} report the same poses, digit for digit: the '
+            'answer is the pose of a sensor in itself; check that two sensors were given')
     if a.sensor_frame == b.sensor_frame:
         warnings.append(f'both sensors are named {a.sensor_frame}: name their frames before '
                         'publishing the transform')

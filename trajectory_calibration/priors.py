@@ -113,13 +113,18 @@ def apply_prior(
     if not prior.given:
         return T_a_b, covariance
     known = np.isfinite(prior.std)
-    noise = np.diag(np.maximum(prior.std[known], _FIXED)**2)
+    std = np.maximum(prior.std[known], _FIXED)
+    eigenvalues, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     step = np.zeros(6)
     for _ in range(_MAX_UPDATES):
         deviation = prior.deviation(_moved(T_a_b, step))
         observe = _observation(deviation, step)[known]
-        gain = covariance @ observe.T @ np.linalg.inv(observe @ covariance @ observe.T + noise)
-        following = gain @ (deviation[known] + observe @ step)
+        # In units of what is unknown, the prior before the motion: a component that is fixed
+        # beside a direction that is open has 1e13 times its weight.
+        Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
+        expected = (deviation[known] + observe @ step) / std
+        following = root @ np.linalg.solve(triangle, Q[:len(std)].T @ expected)
         settled = np.abs(following - step).max() < _SETTLED
         step = following
         if settled:
@@ -130,10 +135,8 @@ def apply_prior(
             f'the prior turns the answer of the motion by {turn:.0f} degrees, needed less than '
             f'{_LARGEST_TURN_DEG:.0f}; check prior_rotation (roll, pitch, yaw of b in a, '
             'degrees), or drive so that the motion shows the rotation, about two axes')
-    rest = np.eye(6) - gain @ observe
-    # Joseph's form stays symmetric and positive.
-    posterior = rest @ covariance @ rest.T + gain @ noise @ gain.T
-    return _moved(T_a_b, step), 0.5 * (posterior + posterior.T)
+    half = np.linalg.solve(triangle.T, root.T)
+    return _moved(T_a_b, step), half.T @ half
 
 
 def contradictions(

@@ -18,6 +18,7 @@ from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.consistency import check_lags
 from trajectory_calibration.solvers.drift.covariance import (
     extrinsic_covariance,
@@ -27,7 +28,12 @@ from trajectory_calibration.solvers.drift.covariance import (
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
 from trajectory_calibration.solvers.drift.fit import Fit
 from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
-from trajectory_calibration.solvers.drift.selection import COARSE, estimate, optional_terms
+from trajectory_calibration.solvers.drift.selection import (
+    COARSE,
+    estimate,
+    optional_terms,
+    RIVALS,
+)
 from trajectory_calibration.solvers.drift.unit import unit_of_b
 from trajectory_calibration.solvers.solution import Solution
 
@@ -65,6 +71,10 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             f'drift_aware: {len(pairs)} pairs of poses, needed at least {MIN_POSES} to tell noise '
             'from motion; record longer or use dnl')
     _require_motion(pairs)
+    if not all(_moved(poses[:, :3, 3]) for poses in (pairs.poses_a, pairs.poses_b)):
+        # One sensor turned on the spot: its lever arm and a scale explain the same.
+        terms = {name: 'fixed' if mode == 'auto' and name in RIVALS else mode
+                 for name, mode in terms.items()}
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         unit = 1.0 if terms['scale'] == 'fixed' else _unit(pairs)
@@ -124,8 +134,13 @@ def _unsettled(fit: Fit) -> tuple[str, ...]:
 def _require_motion(pairs: PosePairs) -> None:
     """Raise MotionError where one of the sensors did not move at all, but for rounding."""
     for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
-        moved = float(np.abs(poses - poses[0]).max())
-        if moved <= _NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
+        if not _moved(poses):
             raise MotionError(
                 f'the sensors did not turn: {name} stood still over {len(pairs)} poses; drive '
                 'curves, and a ramp or a bank')
+
+
+def _moved(values: FloatArray) -> bool:
+    """Tell whether the first axis of an array has more in it than rounding."""
+    change = float(np.abs(values - values[0]).max())
+    return change > _NO_MOTION * (1.0 + float(np.abs(values[0]).max()))

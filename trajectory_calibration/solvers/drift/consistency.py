@@ -66,7 +66,7 @@ class LagCheck:
             return ()
         turn = np.kron(np.eye(2), T_a_b[:3, :3])
         difference = turn @ self.difference
-        deviation = np.sqrt(np.diag(turn @ self.covariance @ turn.T))
+        deviation = np.sqrt(np.maximum(np.diag(turn @ self.covariance @ turn.T), 0.0))
         ratio = np.abs(difference) / np.maximum(deviation, np.finfo(float).tiny)
         k = int(ratio.argmax())
         found = (f'move b by {difference[k]:+.2g} m along' if k < 3 else
