@@ -12,6 +12,7 @@ from trajectory_calibration.association import (
     associate_by_interpolation,
     associate_nearest,
 )
+from trajectory_calibration.simulation import Noise, Scenario, Sensor, simulate, Wander
 
 MS = 1_000_000
 GAP = 500 * MS
@@ -139,10 +140,55 @@ def test_auto_keeps_to_coinciding_stamps_where_most_coincide():
 
 
 def test_auto_interpolates_where_few_coincide():
-    t_a, t_b = stamps(100), stamps(300, step_ns=33_333_333) + 13 * MS
+    t_a, t_b = stamps(300, step_ns=33_333_333), stamps(100) + 13 * MS
     a, b = Trajectory(t_a, helix(t_a, np.eye(4))), Trajectory(t_b, helix(t_b, np.eye(4)))
     assert associate(a, b).summary == associate(a, b, method='interpolate').summary
     assert associate(a, b).summary.between == 0
+    assert associate(a, b).summary.stamps_of == 'b'
+
+
+@pytest.mark.parametrize('offset_ns', [0, 250 * MS, -4_000_000_000_000_000_001])
+def test_auto_interpolates_the_denser_whichever_it_is(offset_ns):
+    """A receiver at 1 Hz, whose gaps no interpolation bridges, and a camera at 30 Hz."""
+    rng = np.random.default_rng(3)
+    X = random_pose(rng)
+    t_a, t_b = stamps(40, step_ns=1_000 * MS) + 11 * MS, stamps(1000, step_ns=33_333_333)
+    a = Trajectory(t_a, helix(t_a, np.eye(4)), sensor_frame='receiver')
+    b = Trajectory(t_b - offset_ns, helix(t_b, X), sensor_frame='camera')
+    pairs = associate(a, b, time_offset_ns=offset_ns)
+    swapped = associate(b, a, time_offset_ns=-offset_ns)
+    np.testing.assert_array_equal(pairs.stamps_ns, t_a[t_a <= t_b[-1]])
+    np.testing.assert_array_equal(pairs.stamps_ns, swapped.stamps_ns + offset_ns)
+    np.testing.assert_array_equal(pairs.poses_a, swapped.poses_b)
+    np.testing.assert_array_equal(pairs.poses_b, swapped.poses_a)
+    np.testing.assert_allclose(pairs.poses_b, pairs.poses_a @ X, atol=1e-6)
+    summary = pairs.summary
+    assert (summary.poses_a, summary.poses_b, summary.stamps_of) == (40, 1000, 'a')
+    assert summary.time_offset_s == offset_ns * 1e-9
+    assert summary.pairs + summary.outside + summary.in_gaps == 40
+    with pytest.raises(AssociationError, match='fall in gaps of receiver longer than'):
+        associate(a, b, method='interpolate', time_offset_ns=offset_ns)
+
+
+def test_poses_of_the_sparser_without_a_partner_are_a_warning():
+    t_a, t_b = stamps(40, step_ns=1_000 * MS), stamps(300)
+    a = Trajectory(t_a, helix(t_a, np.eye(4)), sensor_frame='receiver')
+    b = Trajectory(t_b, helix(t_b, random_pose(np.random.default_rng(1))), sensor_frame='camera')
+    result = calibrate(a, b, CalibrationConfig(solver='dnl', reference='B1',
+                                               time_offset_mode='fixed', allow_unobserved=True))
+    assert '25% of the poses of receiver lie outside the time of camera' in result.warnings
+
+
+@pytest.mark.parametrize('rates', [(3.0, 10.0), (10.0, 3.0), (2.0, 30.0)])
+def test_a_sparse_parent_is_no_error_of_scale(rates):
+    """Chords of sparse poses are shorter than the way between them."""
+    motion, noise = Wander(2.0, 0.4, 1.0, 0.3), Noise(white=0.002, white_rotation=0.001)
+    sensors = [Sensor(rate, noise, sensor_frame=name)
+               for rate, name in zip(rates, 'ab', strict=True)]
+    run = simulate(Scenario(60.0, motion, *sensors), 5)
+    result = calibrate(run.a, run.b)
+    assert result.scale == pytest.approx(1.0, abs=1e-3)
+    assert result.absolute_errors(run.T_a_b).e_at < 0.002
 
 
 def test_no_overlap_names_the_ends_and_the_offset():

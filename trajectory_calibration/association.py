@@ -25,6 +25,10 @@ _NEAR_NS = 10_000_000
 _SHORT_GAP_NS = 150_000_000
 _NEAR_SHARE = 0.5
 
+# 'auto' interpolates the other one where the steps of a are this many times those of b: chords
+# between sparse poses are shorter than the way, which would pass for an error of scale.
+_SPARSER = 1.5
+
 
 @dataclass(frozen=True)
 class AssociationSummary:
@@ -41,6 +45,8 @@ class AssociationSummary:
     between : poses of b that were left out because most others coincide with poses of a.
     median_difference_s, max_difference_s : time between a pose of b and the nearest pose of a
         over the pairs.
+    stamps_of : 'b'; 'a' where b was interpolated at the stamps of a, and all of these count poses
+        of a among those of b.
 
     """
 
@@ -54,6 +60,7 @@ class AssociationSummary:
     between: int
     median_difference_s: float
     max_difference_s: float
+    stamps_of: str = 'b'
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +94,12 @@ class PosePairs:
 
     def thinned(self, every: int) -> PosePairs:
         """Return every ``every``-th pair, from the first."""
-        return self if every == 1 else PosePairs(
-            self.stamps_ns[::every], self.poses_a[::every], self.poses_b[::every], self.summary)
+        return self if every == 1 else self.picked(slice(None, None, every))
+
+    def picked(self, part: slice | NDArray[np.bool_]) -> PosePairs:
+        """Return some of the pairs."""
+        return PosePairs(
+            self.stamps_ns[part], self.poses_a[part], self.poses_b[part], self.summary)
 
 
 def associate(
@@ -107,10 +118,10 @@ def associate(
     a, b : Trajectory
         The parent and the child sensor.
     method : 'auto', 'interpolate' or 'nearest'
-        ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates, but where
-        at least half of the poses of b lie within 10 ms of a pose of a or in a gap of at most
-        0.15 s, only these: keyframes of one trigger need no guess of what happened between two
-        poses.
+        ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates the one with
+        more poses a second, a where they are about equal, but where at least half of the poses
+        of the other lie within 10 ms of a pose of it or in a gap of at most 0.15 s, only these:
+        keyframes of one trigger need no guess of what happened between two poses.
     max_difference_ns : int
         For 'nearest': the largest difference of stamps in a pair.
     max_gap_ns : int
@@ -127,9 +138,28 @@ def associate(
     if method == 'nearest':
         return associate_nearest(
             a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
+    if method == 'auto' and is_sparser(a.stamps_ns, b.stamps_ns):
+        _require_overlap(a, b.stamps_ns + time_offset_ns, b.sensor_frame, time_offset_ns)
+        pairs = associate_by_interpolation(
+            b, a, max_gap_ns=max_gap_ns, time_offset_ns=-time_offset_ns, prefer_near=True)
+        return _mirrored(pairs, time_offset_ns)
     return associate_by_interpolation(
         a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns,
         prefer_near=method == 'auto')
+
+
+def is_sparser(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> bool:
+    """Tell whether 'auto' interpolates b at the stamps of a rather than a at those of b."""
+    step_a, step_b = (np.median(np.diff(stamps)) for stamps in (stamps_a, stamps_b))
+    return bool(step_a > _SPARSER * step_b)
+
+
+def _mirrored(pairs: PosePairs, time_offset_ns: int) -> PosePairs:
+    """Return pairs of a and b, in the clock of a, from those of b and a in the clock of b."""
+    summary = replace(
+        pairs.summary, time_offset_s=time_offset_ns * 1e-9, poses_a=pairs.summary.poses_b,
+        poses_b=pairs.summary.poses_a, stamps_of='a')
+    return PosePairs(pairs.stamps_ns + time_offset_ns, pairs.poses_b, pairs.poses_a, summary)
 
 
 def associate_nearest(
@@ -153,7 +183,7 @@ def associate_nearest(
     summary = _summarise(
         'nearest', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
         np.count_nonzero(~outside & ~near))
-    _require_pairs(summary, f'no closer than {max_difference_ns * 1e-9:g} s; raise '
+    _require_pairs(summary, a, b, f'no closer than {max_difference_ns * 1e-9:g} s; raise '
                    'max_time_difference, set time_offset, or use interpolation')
     return PosePairs(stamps_b[j], a.poses[i], b.poses[j], summary)
 
@@ -200,8 +230,8 @@ def associate_by_interpolation(
     summary = _summarise(
         'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
         np.count_nonzero(~outside & ~bridged), between)
-    _require_pairs(summary, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer than '
-                   f'{(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or swap '
+    _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
+                   f'than {(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or swap '
                    'the two trajectories')
     return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
 
@@ -235,12 +265,14 @@ def _require_overlap(
         f'{offset + time_offset_ns * 1e-9:.3f}')
 
 
-def _require_pairs(summary: AssociationSummary, why: str) -> None:
+def _require_pairs(
+    summary: AssociationSummary, a: Trajectory, b: Trajectory, why: str,
+) -> None:
     if summary.pairs < MIN_PAIRS:
         raise AssociationError(
             f'only {summary.pairs} pairs of poses from {summary.poses_a} and {summary.poses_b}, '
-            f'needed at least {MIN_PAIRS}: {summary.outside} poses of b lie outside the time of '
-            f'a, {why}')
+            f'needed at least {MIN_PAIRS}: {summary.outside} poses of {b.sensor_frame} lie '
+            f'outside the time of {a.sensor_frame}, {why}')
 
 
 def _summarise(

@@ -97,7 +97,8 @@ class CalibrationConfig:
     reference: str = _option('auto', f'reference pose of each motion: {REFERENCE_HELP}')
     association: str = _option(
         'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
-        'the nearest, or (auto) interpolate, but keep to coinciding stamps where most are',
+        'the nearest, or (auto) interpolate whichever has more poses a second, but keep to '
+        'coinciding stamps where most are',
         choices=('auto', 'interpolate', 'nearest'))
     max_gap: float = _option(
         0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)

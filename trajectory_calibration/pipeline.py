@@ -131,11 +131,12 @@ def _association_warnings(
 ) -> list[str]:
     """Name what the association left unused, where it is much, and sensors that are one."""
     warnings = []
-    for count, where in ((summary.in_gaps, f'fall in gaps of {a.sensor_frame}'),
-                         (summary.outside, f'lie outside the time of {a.sensor_frame}')):
-        share = count / summary.poses_b
+    one, other = (b, a) if summary.stamps_of == 'b' else (a, b)
+    for count, where in ((summary.in_gaps, f'fall in gaps of {other.sensor_frame}'),
+                         (summary.outside, f'lie outside the time of {other.sensor_frame}')):
+        share = count / len(one)
         if share > _UNPAIRED_SHARE:
-            warnings.append(f'{share:.0%} of the poses of {b.sensor_frame} {where}')
+            warnings.append(f'{share:.0%} of the poses of {one.sensor_frame} {where}')
     if np.array_equal(a.poses, b.poses):
         warnings.append(
             f'{a.sensor_frame} and {b.sensor_frame} report the same poses, digit for digit: the '
