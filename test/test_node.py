@@ -271,10 +271,14 @@ def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
         damaged.append(whole[:12] + b'\xff' * 4 + whole[16:])
         damaged.append(b'\x00\x00' + whole[2:])
         a.publish(whole)
-        for message in damaged:
+        if type_name == 'Path':
+            # Of Paths that wait, only the newest is read.
+            client.wait(lambda: client.value('trajectory_a', 'messages') == '1', 'the Path')
+        for count, message in enumerate(damaged, 1):
             a.publish(message)
-        client.wait(lambda: client.value('trajectory_a', 'refused: unreadable')
-                    == str(len(damaged)), 'the count')
+            if type_name == 'Path' or count == len(damaged):
+                client.wait(lambda count=count: client.value(
+                    'trajectory_a', 'refused: unreadable') == str(count), 'the count')
         client.wait(lambda: f'{len(damaged)} unreadable' in node.log, 'the log')
         client.publish_drive(stamps_ns, poses_a, poses_b, types=(type_name, 'Odometry'))
         answer = client.call('calibrate')

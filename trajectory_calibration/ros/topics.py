@@ -14,6 +14,7 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.ros.conversions import MESSAGE_TYPES, RosDeserialiser
 from trajectory_calibration.ros.feed import PoseFeed
+from trajectory_calibration.sources.cdr import PATH
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class TrajectorySubscription:
     buffer : PoseBuffer
         That takes the poses.
     depth : int
-        Messages that may wait while the node is busy.
+        Messages of single poses that may wait while the node is busy.
 
     Attributes
     ----------
@@ -79,9 +80,10 @@ class TrajectorySubscription:
                 f'{self._topic} carries {" and ".join(offered)}, the parameter says '
                 f'{msgtype}; correct it or set auto')
             return
+        # Each Path replaces the one before: those that wait only cost memory and time.
         profile = _matching_profile(
             [publisher for publisher in publishers if publisher.topic_type == msgtype],
-            self._depth)
+            1 if msgtype == PATH else self._depth)
         if msgtype != self._msgtype or profile != self._profile:
             self._subscribe(msgtype, profile)
         several = f' from {len(publishers)} publishers' if len(publishers) > 1 else ''

@@ -1,0 +1,59 @@
+"""What is subscribed to, for what publishers offer."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer
+
+topics = pytest.importorskip(
+    'trajectory_calibration.ros.topics',
+    reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+
+ODOMETRY, PATH = 'nav_msgs/msg/Odometry', 'nav_msgs/msg/Path'
+DEPTH = 5000
+
+
+class Graph:
+    """A node whose publishers are made up; it notes what is subscribed to."""
+
+    def __init__(self):
+        self.publishers, self.profiles = [], []
+
+    def get_publishers_info_by_topic(self, _topic):
+        return self.publishers
+
+    def create_subscription(self, _type, _topic, _callback, profile, **_options):
+        self.profiles.append(profile)
+
+    def destroy_subscription(self, _subscription):
+        pass
+
+    def get_logger(self):
+        return SimpleNamespace(info=lambda _text: None)
+
+
+def offer(msgtype=ODOMETRY, *, reliable=True, latched=False):
+    """Return what a publisher is known by."""
+    reliability, durability = topics.ReliabilityPolicy, topics.DurabilityPolicy
+    return SimpleNamespace(topic_type=msgtype, qos_profile=topics.QoSProfile(
+        depth=1,
+        reliability=reliability.RELIABLE if reliable else reliability.BEST_EFFORT,
+        durability=durability.TRANSIENT_LOCAL if latched else durability.VOLATILE))
+
+
+def subscribed(*offers):
+    """Return what is subscribed with while these are offered, one list after the other."""
+    graph = Graph()
+    subscription = topics.TrajectorySubscription(
+        graph, '/a', None, PoseBuffer(BufferLimits()), DEPTH)
+    for graph.publishers in offers:
+        subscription.update()
+        assert subscription.status.ready
+    return graph.profiles
+
+
+@pytest.mark.parametrize('msgtype, depth', [(ODOMETRY, DEPTH), (PATH, 1)])
+def test_poses_wait_while_the_node_is_busy_and_of_paths_only_the_newest(msgtype, depth):
+    (profile,) = subscribed([offer(msgtype)])
+    assert profile.depth == depth
