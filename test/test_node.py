@@ -289,8 +289,8 @@ def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
     assert (status, 'Traceback' in node.log) == (0, False), node.log
 
 
-def test_a_bag_that_loops_starts_anew(tmp_path):
-    with ros.running(tmp_path, *TAYLOR) as (_, client):
+def test_a_bag_that_loops_starts_anew_and_says_what_it_forgot(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (node, client):
         stamps_ns, poses_a, poses_b = ros.drive(poses=150)
         a, b = client.publish_drive(stamps_ns, poses_a, poses_b)
         for stamp, pose_a, pose_b in zip(
@@ -300,6 +300,10 @@ def test_a_bag_that_loops_starts_anew(tmp_path):
         client.wait_for_poses(60, 60)
         answer = client.call('calibrate')
         assert client.value('trajectory_a', 'clock jumps') == '1'
+        status = client.status('trajectory_a')
+        log = node.log
+    assert (status.level, '150 poses were forgotten' in status.message) == (b'\x01', True)
+    assert log.count('went back, 150 poses were forgotten') == 2
     assert answer.success, answer.message
     assert 'of 60 poses' in answer.message
 

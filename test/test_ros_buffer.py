@@ -128,10 +128,29 @@ def test_a_clock_that_went_back_starts_the_buffer_anew_without_losing_a_pose():
     buffer = filled(100)
     for k in range(20):
         buffer.append(50 * SECOND + k * SECOND // 10, ('map', 'lidar'), along_x(0.1 * k))
-    assert buffer.clock_jumps == 1
+    assert (buffer.clock_jumps, buffer.forgotten) == (1, 100)
     assert buffer.snapshot('a').stamps_ns.tolist() == [
         50 * SECOND + k * SECOND // 10 for k in range(20)]
     assert not any(buffer.refused.values())
+
+
+@pytest.mark.parametrize('wrong', [3, 150])
+def test_wrong_stamps_of_less_than_a_second_forget_nothing(wrong):
+    buffer = filled(1000, step_ns=SECOND // 200)
+    newest = buffer.span_ns[1]
+    for k in range(wrong):
+        buffer.append(SECOND + k * SECOND // 200, ('map', 'lidar'), along_x(1.0))
+    buffer.append(newest + SECOND // 200, ('map', 'lidar'), along_x(2.0))
+    assert len(buffer) == 1001
+    assert buffer.refused[Refusal.STRAY_STAMP] == wrong
+    assert (buffer.clock_jumps, buffer.forgotten) == (0, 0)
+
+
+def test_a_clock_that_went_back_and_hardly_moves_is_held_back_within_the_bound():
+    buffer = filled(100, BufferLimits(max_poses=100))
+    for k in range(100):
+        buffer.append(SECOND + k, ('map', 'lidar'), along_x(0.1 * k))
+    assert (len(buffer), buffer.clock_jumps, buffer.forgotten) == (100, 1, 100)
 
 
 def test_a_long_pause_loses_no_pose():

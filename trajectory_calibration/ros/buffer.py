@@ -21,6 +21,9 @@ from trajectory_calibration.trajectory import MAX_POSITION, ROTATION_TOLERANCE, 
 JUMP_NS = 5_000_000_000
 # So many poses in a row must agree before a jump of the clock, or new frames, are believed.
 CONFIRMATIONS = 3
+# And the new clock must go on for so long: at 200 Hz three poses are over in 10 ms, which a
+# receiver that starts anew fills with wrong stamps.
+CONFIRMATION_NS = 1_000_000_000
 
 _FIRST_ALLOCATION = 1024
 
@@ -114,6 +117,7 @@ class PoseBuffer:
     messages : messages taken since the start or the last ``clear``.
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
+    forgotten : poses that it held at those times.
     frame_changes : times poses held gave way to poses in other frames.
     refused : count of refused poses for each Refusal.
     frames : of the messages held.
@@ -135,6 +139,7 @@ class PoseBuffer:
         self.messages = 0
         self.still = 0
         self.clock_jumps = 0
+        self.forgotten = 0
         self.frame_changes = 0
         self.refused = dict.fromkeys(Refusal, 0)
         self._forget_poses()
@@ -305,14 +310,22 @@ class PoseBuffer:
         if self._jump and stamp_ns <= self._jump[-1][0]:
             self._drop_strays()
         self._jump.append((stamp_ns, pose))
-        if len(self._jump) < CONFIRMATIONS:
+        if not self._jump_is_confirmed():
             return
         confirmed, self._jump = self._jump, []
         if confirmed[0][0] < self._last_ns:
-            self._forget_poses(self.frames)
             self.clock_jumps += 1
+            self.forgotten += len(self)
+            self._forget_poses(self.frames)
         for stamp, held in confirmed:
             self._store(stamp, held)
+
+    def _jump_is_confirmed(self) -> bool:
+        # Of a clock that hardly moves no more are held back than a buffer keeps.
+        if len(self._jump) >= self._limits.max_poses:
+            return True
+        lasted_ns = self._jump[-1][0] - self._jump[0][0]
+        return len(self._jump) >= CONFIRMATIONS and lasted_ns >= CONFIRMATION_NS
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
         if self._stands(stamp_ns, pose):

@@ -210,6 +210,10 @@ class CalibrationNode(Node):
 
     def _report(self) -> None:
         now_s = time.monotonic()
+        for monitor in self._monitors:
+            loss = monitor.new_loss(now_s)
+            if loss:
+                self.get_logger().warning(f'{monitor.name}: {loss}')
         statuses = [
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
