@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from trajectory_calibration import CalibrationConfig, se3, TrajectoryError
+from trajectory_calibration import AssociationError, CalibrationConfig, se3, TrajectoryError
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Refusal
 from trajectory_calibration.ros.session import CalibrationSession
 
@@ -292,6 +292,18 @@ def test_headers_without_stamps_are_named():
     buffer.replace(np.array([0, 0, 1, 2]) * SECOND, row(4), ('map', ''))
     assert len(buffer) == 2
     assert buffer.refusals() == '2 poses refused (2 no stamp)'
+
+
+def test_a_failure_ends_with_what_was_refused():
+    session = CalibrationSession('/a', '/b', BufferLimits())
+    for buffer, start_s, frames in (
+            (session.buffer_a, 1, ('map', 'lidar')), (session.buffer_b, 101, ('map', 'camera')),
+            (session.buffer_b, 1, ('other', 'camera'))):
+        for k in range(20):
+            buffer.append((start_s + k) * SECOND, frames, along_x(k))
+    job = session.job(CalibrationConfig())
+    with pytest.raises(AssociationError, match=r'; camera: 20 poses refused \(20 other frame\)$'):
+        job.run()
 
 
 def test_too_few_poses_say_what_to_do():

@@ -36,6 +36,9 @@ class InputMonitor:
         self._messages = 0
         self._reported_s = now_s
         self._last_message_s: float | None = None
+        # What is held, as last seen, and since when messages have changed nothing of it.
+        self._held: tuple[object, ...] = ()
+        self._useless_since_s: float | None = None
         self._refused = 0
         # Clock jumps and the poses that they cost, as last seen.
         self._jumps = (0, 0)
@@ -51,6 +54,11 @@ class InputMonitor:
             self.rate_hz = arrived / (now_s - self._reported_s)
         if arrived:
             self._last_message_s = now_s
+        held = (buffer.generation, buffer.span_ns)
+        if held != self._held:
+            self._held, self._useless_since_s = held, None
+        elif arrived and self._useless_since_s is None:
+            self._useless_since_s = now_s
         self._messages, self._reported_s = buffer.messages, now_s
         status = DiagnosticStatus(name=self.name, hardware_id=buffer.frames[1])
         status.level, status.message = self._judge(topic, now_s)
@@ -98,6 +106,10 @@ class InputMonitor:
         if self._buffer.messages and not len(self._buffer):
             return DiagnosticStatus.WARN, (
                 f'{topic.text}: none of its poses can be used: {self._buffer.refusals()}')
+        if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
+            why = self._buffer.refusals() or 'their stamps jumped and hardly go on'
+            return DiagnosticStatus.WARN, (
+                f'{topic.text}: no pose taken for {now_s - self._useless_since_s:.0f} s: {why}')
         if self._buffer.clock_jumps and now_s - self._jumped_s < _RECENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
