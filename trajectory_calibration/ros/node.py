@@ -45,9 +45,9 @@ _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
 
-# How much more motion there must be before a calibration that failed says nothing about the
-# next one: its message leaves the diagnostics, and auto_calibrate tries again.
-_MORE_MOTION = 1.2
+# How much more motion, of that which it had, there must be before a calibration that failed says
+# nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
+_MORE_MOTION = 0.2
 
 
 class CalibrationNode(Node):
@@ -87,7 +87,8 @@ class CalibrationNode(Node):
         self._answer: Future | None = None
         self._excitation = ExcitationMonitor()
         self._calibrated = False
-        self._motions_tried = 0
+        # Motions driven when a calibration was tried last, and that it had.
+        self._tried = (0, 0)
 
         self._store = None
         if values['result_directory']:
@@ -131,7 +132,8 @@ class CalibrationNode(Node):
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
-        self._motions_tried = self._observe(values)[0].motions
+        excitation = self._observe(values)[0]
+        self._tried = excitation.driven, excitation.motions
         job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
         self._solver.start(job, values['calibration_timeout'])
 
@@ -142,7 +144,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
         self._solver.cancel('stopped by a reset')
         self._session.reset()
-        self._calibrated, self._motions_tried, self._last_failure = False, 0, ''
+        self._calibrated, self._tried, self._last_failure = False, (0, 0), ''
         response.success = True
         response.message = (
             f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
@@ -252,8 +254,8 @@ class CalibrationNode(Node):
     def _has_moved_on(self, excitation: Excitation) -> bool:
         """Return whether the data differ much from those of the last calibration."""
         # Fewer motions are those of a buffer that started anew.
-        tried = self._motions_tried
-        return not tried <= excitation.motions <= _MORE_MOTION * tried
+        driven, motions = self._tried
+        return not driven <= excitation.driven <= driven + _MORE_MOTION * motions
 
     def _calibrate_when_ready(
         self, values: Mapping[str, Any], excitation: Excitation,
