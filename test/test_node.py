@@ -607,7 +607,7 @@ def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):
     assert np.allclose(ros.matrix(latest), ros.T_A_B, atol=1e-10)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_node_cleanly(tmp_path, number):
     for _ in range(3):
         with ros.running(tmp_path) as (node, client):

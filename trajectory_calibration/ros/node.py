@@ -314,7 +314,7 @@ def _init(args: Sequence[str] | None) -> None:
 
 
 def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM, which ``stop`` notes; return the exit status."""
+    """Run the node until a signal, which ``stop`` notes; return the exit status."""
     stop = stop or StopSignals()
     node = None
     try:
