@@ -372,6 +372,26 @@ def test_both_qualities_of_service_and_a_remapped_topic_match(tmp_path):
     assert 'visual_slam/pose (reliable)' in log
 
 
+@pytest.mark.parametrize('arguments, topics', [
+    (('-r', 'trajectory_a:=trajectory_b', '-r', 'trajectory_b:=trajectory_a'),
+     ('trajectory_b', 'trajectory_a')),
+    (('-p', 'topic_a:=slam', '-r', 'slam:=front', '-r', 'front:=rear'),
+     ('front', 'trajectory_b')),
+])
+def test_a_name_is_remapped_once(tmp_path, arguments, topics):
+    with ros.running(tmp_path, *TAYLOR, *arguments) as (_, client):
+        publishers = [client.publisher(topic) for topic in topics]
+        stamps_ns, poses_a, _ = ros.drive(poses=5)
+        for publisher, sensor in zip(publishers, 'ab', strict=True):
+            for stamp, pose in zip(stamps_ns, poses_a, strict=True):
+                publisher.publish(ros.to_message('Odometry', stamp, pose, 'map', sensor))
+        client.wait_for_poses(5, 5)
+        for sensor, topic in zip('ab', topics, strict=True):
+            assert client.value(f'trajectory_{sensor}', 'sensor_frame') == sensor
+            status = client.status(f'trajectory_{sensor}')
+            assert f'on {client.namespace}/{topic}: ' in status.message
+
+
 def test_the_status_says_what_is_missing(tmp_path):
     with ros.running(tmp_path, '-p', 'type_b:=Odometry') as (_, client):
         client.wait(lambda: client.status('trajectory_a') is not None, 'diagnostics')

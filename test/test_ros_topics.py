@@ -23,6 +23,9 @@ class Graph:
     def get_publishers_info_by_topic(self, _topic):
         return self.publishers
 
+    def resolve_topic_name(self, topic):
+        return topic
+
     def create_subscription(self, _type, _topic, _callback, profile, **_options):
         self.profiles.append(profile)
 

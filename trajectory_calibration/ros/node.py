@@ -73,8 +73,9 @@ class CalibrationNode(Node):
         buffers = self._session.buffer_a, self._session.buffer_b
         self._inputs = [
             TrajectorySubscription(
-                self, topic, find_type(values[name]), buffer, values['queue_depth'])
-            for topic, name, buffer in zip(topics, ('type_a', 'type_b'), buffers, strict=True)]
+                self, values[f'topic_{side}'], find_type(values[f'type_{side}']), buffer,
+                values['queue_depth'])
+            for side, buffer in zip('ab', buffers, strict=True)]
         self._monitors = [
             InputMonitor(f'{self.get_fully_qualified_name()}: {name}', buffer, time.monotonic())
             for name, buffer in zip(('trajectory_a', 'trajectory_b'), buffers, strict=True)]

@@ -40,7 +40,7 @@ class TrajectorySubscription:
     node : Node
         That subscribes.
     topic : str
-        Its full name.
+        Its name as configured, before ROS remaps it.
     msgtype : str or None
         The type to subscribe to; None takes what the publishers offer.
     buffer : PoseBuffer
@@ -57,7 +57,9 @@ class TrajectorySubscription:
     def __init__(
         self, node: Node, topic: str, msgtype: str | None, buffer: PoseBuffer, depth: int,
     ) -> None:
-        self._node, self._topic, self._wanted = node, topic, msgtype
+        # ROS remaps whatever name it is given, so it gets the one before; people get the other.
+        self._node, self._name, self._wanted = node, topic, msgtype
+        self._topic = resolve_topic(node, topic)
         self._buffer, self._depth = buffer, depth
         self._msgtype: str | None = None
         self._profile: QoSProfile | None = None
@@ -66,7 +68,7 @@ class TrajectorySubscription:
 
     def update(self) -> None:
         """Look at the publishers and subscribe, or subscribe anew, as they require."""
-        publishers = self._node.get_publishers_info_by_topic(self._topic)
+        publishers = self._node.get_publishers_info_by_topic(self._name)
         if not publishers:
             self.status = TopicStatus(
                 f'no publisher on {self._topic}; start it, or set or remap the topic')
@@ -108,7 +110,7 @@ class TrajectorySubscription:
             self._buffer.clear()
         self._msgtype, self._profile = msgtype, profile
         self._subscription = self._node.create_subscription(
-            MESSAGE_TYPES[msgtype], self._topic,
+            MESSAGE_TYPES[msgtype], self._name,
             PoseFeed(msgtype, self._buffer, RosDeserialiser()), profile, raw=True)
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')
