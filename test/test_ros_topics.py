@@ -60,3 +60,20 @@ def subscribed(*offers):
 def test_poses_wait_while_the_node_is_busy_and_of_paths_only_the_newest(msgtype, depth):
     (profile,) = subscribed([offer(msgtype)])
     assert profile.depth == depth
+
+
+@pytest.mark.parametrize('msgtype, expected', [
+    (ODOMETRY, ['TRANSIENT_LOCAL', 'VOLATILE']),
+    (PATH, ['TRANSIENT_LOCAL', 'VOLATILE', 'TRANSIENT_LOCAL'])])
+def test_what_publishers_keep_is_asked_for_once_unless_it_is_a_path(msgtype, expected):
+    latched, other = offer(msgtype, latched=True), offer(msgtype)
+    profiles = subscribed([latched], [latched, latched], [latched, other], [latched])
+    assert [profile.durability.name for profile in profiles] == expected
+
+
+def test_another_reliability_asks_for_nothing_twice_and_another_type_does():
+    best_effort = offer(latched=True, reliable=False)
+    profiles = subscribed([offer(latched=True)], [best_effort], [offer(PATH, latched=True)])
+    assert [(profile.reliability.name, profile.durability.name) for profile in profiles] == [
+        ('RELIABLE', 'TRANSIENT_LOCAL'), ('BEST_EFFORT', 'VOLATILE'),
+        ('RELIABLE', 'TRANSIENT_LOCAL')]

@@ -82,14 +82,27 @@ class TrajectorySubscription:
                 f'{self._topic} carries {" and ".join(offered)}, the parameter says '
                 f'{msgtype}; correct it or set auto')
             return
-        # Each Path replaces the one before: those that wait only cost memory and time.
-        profile = _matching_profile(
-            [publisher for publisher in publishers if publisher.topic_type == msgtype],
-            1 if msgtype == PATH else self._depth)
+        profile = self._fitting_profile(
+            msgtype, [publisher for publisher in publishers if publisher.topic_type == msgtype])
         if msgtype != self._msgtype or profile != self._profile:
             self._subscribe(msgtype, profile)
         several = f' from {len(publishers)} publishers' if len(publishers) > 1 else ''
         self.status = TopicStatus(f'{msgtype} on {self._topic}{several}', ready=True)
+
+    def _fitting_profile(
+        self, msgtype: str, publishers: Sequence[TopicEndpointInfo],
+    ) -> QoSProfile:
+        # Each Path replaces the one before: those that wait only cost memory and time.
+        profile = _matching_profile(publishers, 1 if msgtype == PATH else self._depth)
+        if msgtype != self._msgtype or msgtype == PATH or self._profile is None:
+            return profile
+        # What publishers keep for latecomers has come already: a second time, it would be a
+        # clock that went back. Without it, the profile fits such publishers, too.
+        if (profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                and profile.reliability == self._profile.reliability):
+            return self._profile
+        profile.durability = DurabilityPolicy.VOLATILE
+        return profile
 
     def _only_type(self, offered: Sequence[str]) -> str | None:
         """Return the one usable type on offer, or say in the status why there is none."""
