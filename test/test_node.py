@@ -637,10 +637,10 @@ def test_signals_end_the_node_cleanly(tmp_path, number):
         assert seconds < 1.0
 
 
-def test_a_signal_while_solving_leaves_no_process_behind(tmp_path):
+def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_path):
     with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
         client.publish_drive(*ros.drive(poses=2000))
-        client.start_call('calibrate')
+        pending = client.start_call('calibrate')
         children = []
 
         def solving():
@@ -651,8 +651,11 @@ def test_a_signal_while_solving_leaves_no_process_behind(tmp_path):
             return children
         client.wait(solving, 'the solver process')
         status, seconds = node.stop()
+        client.wait(pending.done, 'the answer')
     assert (status, 'Traceback' in node.log) == (0, False), node.log
     assert seconds < 1.0
+    assert not pending.result().success
+    assert pending.result().message == 'stopped: the node is shutting down'
     alive = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)],
                            capture_output=True, text=True, check=False).stdout
     assert alive.split() == []

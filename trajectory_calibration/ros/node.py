@@ -44,6 +44,8 @@ NODE_NAME = 'trajectory_calibration'
 _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
+# How long the end waits for the answer to a caller.
+_FAREWELL_S = 0.5
 
 # How much more motion, of that which it had, there must be before a calibration that failed says
 # nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
@@ -86,6 +88,8 @@ class CalibrationNode(Node):
         self._solved = self.create_guard_condition(self._on_solved)
         self._solver = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
+        # Whether a caller of ~/calibrate waits.
+        self._called = False
         self._excitation = ExcitationMonitor()
         self._calibrated = False
         # Motions driven when a calibration was tried last, and that it had.
@@ -111,6 +115,13 @@ class CalibrationNode(Node):
         if values['restore']:
             self._restore()
 
+    def take_leave(self, executor: SingleThreadedExecutor) -> None:
+        """Stop a running calibration and answer its caller."""
+        self._solver.cancel('stopped: the node is shutting down')
+        deadline_s = time.monotonic() + _FAREWELL_S
+        while self._called and time.monotonic() < deadline_s:
+            executor.spin_once(timeout_sec=0.05)
+
     def shutdown(self) -> None:
         """Stop a running calibration and destroy the node."""
         self._solver.shutdown()
@@ -127,9 +138,10 @@ class CalibrationNode(Node):
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
-        self._answer = Future()
+        self._answer, self._called = Future(), True
         self._start_solver(self._settings.values())
         response.success, response.message = await self._answer
+        self._called = False
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
@@ -325,6 +337,7 @@ def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> 
         executor.add_node(node)
         while rclpy.ok() and not stop.received:
             executor.spin_once(timeout_sec=0.2)
+        node.take_leave(executor)
         executor.shutdown()
     except ConfigError as error:
         get_logger(NODE_NAME).fatal(str(error))

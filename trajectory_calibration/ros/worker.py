@@ -102,7 +102,7 @@ class SolverProcess:
 
     def shutdown(self) -> None:
         """Stop whatever runs and wait for its end."""
-        self.cancel('the node is shutting down')
+        self.cancel('stopped: the node is shutting down')
         if self._thread is not None:
             self._thread.join()
 
