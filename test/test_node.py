@@ -483,6 +483,10 @@ def test_results_are_saved_and_restored(tmp_path):
         extrinsic = late.latched()
         late.wait(lambda: extrinsic, 'the restored extrinsic')
         late.wait(lambda: f'restored {first}' in node.log, 'the log')
+        late.wait(lambda: late.status('calibration') is not None, 'the diagnostics')
+        # It says what is missing for another answer, and which one is published.
+        assert late.status('calibration').message.startswith('drive: 0 motions')
+        assert late.value('calibration', 'extrinsic') == extrinsic_shown
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
     assert extrinsic[0].child_frame_id == 'camera'
 
@@ -567,6 +571,8 @@ def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
         client.call('reset')
         client.wait_for_poses(0, 0)
         assert node.log.count('enough motion') == 1
+        assert client.status('calibration').message.startswith('drive: 0 motions')
+        assert client.value('calibration', 'extrinsic')
     assert before.startswith('drive')
     assert after == 'enough motion: call ~/calibrate'
     assert len(extrinsic) == 1

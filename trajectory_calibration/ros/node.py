@@ -298,7 +298,8 @@ class CalibrationNode(Node):
             status.message = 'calibrating'
         elif self._last_failure and not self._has_moved_on(excitation):
             status.level, status.message = DiagnosticStatus.WARN, self._last_failure
-        elif result is not None and not self._last_failure:
+        # A restored answer, or one before a reset, says nothing about what is held.
+        elif self._calibrated and not self._last_failure:
             status.message = 'calibrated'
         else:
             status.message = advice
