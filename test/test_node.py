@@ -587,6 +587,17 @@ def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
         assert 'nothing restored: result_directory holds no result yet' in node.log
 
 
+def refused(folder, arguments, domain=1):
+    """Start a node that must end by itself with status 2; return its log."""
+    node = ros.NodeProcess(folder, domain, '/test_start', arguments)
+    try:
+        assert node.process.wait(ros.LIMIT_S) == 2
+    finally:
+        node.process.kill()
+    assert 'Traceback' not in node.log
+    return node.log
+
+
 @pytest.mark.parametrize('arguments, sentence', [
     (('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
     (('-p', 'solver:=magic'), "solver 'magic' is unknown"),
@@ -595,29 +606,26 @@ def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     (('-p', 'topic_a:=trajectory_b'), 'topic_a and topic_b are both'),
     (('-p', 'restore:=true'), 'restore needs result_directory'),
     (('-p', 'result_directory:=/proc/here'), 'result_directory /proc/here cannot be made'),
+    (('-p', 'result_directory:=~nobody_here/x'), '~nobody_here/x names the home of nobody'),
     (('-p', 'topic_a:=a//b'), 'is not a name of a topic'),
+    (('-p', 'frame_a:=[]'), 'if one is an empty list, correct it'),
+    (('-p', b'frame_a:=\xff'), "can't encode character"),
+    (('-p', 'use_sim_timer:=true'), "parameter 'use_sim_timer' is unknown"),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
 ])
 def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
         tmp_path, arguments, sentence):
-    node = ros.NodeProcess(tmp_path, 1, '/test_start', arguments)
-    try:
-        assert node.process.wait(ros.LIMIT_S) == 2
-    finally:
-        node.process.kill()
-    assert sentence in node.log
-    assert 'Traceback' not in node.log
+    assert sentence in refused(tmp_path, arguments)
+
+
+def test_a_domain_without_ports_ends_the_node_with_a_sentence(tmp_path):
+    assert 'ROS_DOMAIN_ID is 900, needed 0 to 232' in refused(tmp_path, (), domain=900)
 
 
 def test_publish_tf_without_tf2_msgs_is_refused_at_the_start(tmp_path):
     if importlib.util.find_spec('tf2_msgs') is not None:
         pytest.skip('tf2_msgs is installed here')
-    node = ros.NodeProcess(tmp_path, 1, '/test_start', ('-p', 'publish_tf:=true'))
-    try:
-        assert node.process.wait(ros.LIMIT_S) == 2
-    finally:
-        node.process.kill()
-    assert 'publish_tf needs tf2_msgs' in node.log
+    assert 'publish_tf needs tf2_msgs' in refused(tmp_path, ('-p', 'publish_tf:=true'))
 
 
 def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):

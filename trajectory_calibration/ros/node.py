@@ -15,6 +15,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import get_default_context
 from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
@@ -40,6 +41,9 @@ from trajectory_calibration.ros.worker import SolverProcess, StoppedError
 
 NODE_NAME = 'trajectory_calibration'
 
+# Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
+_HIGHEST_DOMAIN = 232
+
 # How often the graph is searched for publishers, and how often the log speaks of bad poses.
 _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
@@ -63,8 +67,12 @@ class CalibrationNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(
-            NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+        try:
+            super().__init__(
+                NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+        except ValueError as error:
+            raise ConfigError(
+                f'parameters: {error}; if one is an empty list, correct it') from error
         self._settings = NodeParameters(self)
         values = self._settings.values()
         topics = [resolve_topic(self, values[name]) for name in ('topic_a', 'topic_b')]
@@ -323,8 +331,11 @@ class CalibrationNode(Node):
 def _init(args: Sequence[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeEncodeError) as error:
         raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
+    domain = get_default_context().get_domain_id()
+    if domain > _HIGHEST_DOMAIN:
+        raise ConfigError(f'ROS_DOMAIN_ID is {domain}, needed 0 to {_HIGHEST_DOMAIN}')
 
 
 def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
