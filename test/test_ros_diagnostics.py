@@ -61,3 +61,10 @@ def test_a_clock_that_went_back_is_said_once_and_a_warning_for_a_minute():
     assert a.receive(5)[0] == WARN
     a.buffer.clear()
     assert a.receive(1)[0] == OK
+
+
+def test_as_many_messages_after_a_reset_as_before_are_no_silence():
+    a = Input()
+    a.receive(1)
+    a.buffer.clear()
+    assert a.receive(1) == (OK, 'Odometry on /a: 10.0 Hz')

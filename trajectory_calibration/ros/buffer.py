@@ -114,7 +114,7 @@ class PoseBuffer:
 
     Attributes
     ----------
-    messages : messages taken since the start or the last ``clear``.
+    received : messages since the start.
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
     forgotten : poses that it held at those times.
@@ -132,11 +132,12 @@ class PoseBuffer:
         self._still_distance_squared = limits.still_distance**2
         self._still_cosine = math.cos(math.radians(limits.still_angle_deg) / 2)
         self.generation = 0
+        self.received = 0
         self.clear()
 
     def clear(self) -> None:
         """Forget all poses, frames and counts."""
-        self.messages = 0
+        self._received_before = self.received
         self.still = 0
         self.clock_jumps = 0
         self.forgotten = 0
@@ -146,6 +147,11 @@ class PoseBuffer:
 
     def __len__(self) -> int:
         return self._end - self._start
+
+    @property
+    def messages(self) -> int:
+        """Messages since the start or the last ``clear``."""
+        return self.received - self._received_before
 
     @property
     def nbytes(self) -> int:
@@ -167,7 +173,7 @@ class PoseBuffer:
 
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
-        self.messages += 1
+        self.received += 1
         fault = _fault(pose) if stamp_ns else Refusal.NO_STAMP
         if fault is not None:
             self.refused[fault] += 1
@@ -190,7 +196,7 @@ class PoseBuffer:
 
     def count_unreadable(self) -> None:
         """Count a message of which nothing could be read."""
-        self.messages += 1
+        self.received += 1
         self.refused[Refusal.UNREADABLE] += 1
 
     def replace(
@@ -202,7 +208,7 @@ class PoseBuffer:
         dropped poses are those of this trajectory; those of messages go on. A trajectory without
         a usable pose is counted and replaces nothing.
         """
-        self.messages += 1
+        self.received += 1
         stamped = stamps_ns != 0
         finite = np.isfinite(poses).all(axis=1)
         # The square of a huge number is infinite, which is no unit length either.

@@ -33,7 +33,7 @@ class InputMonitor:
         self.name = name
         self.rate_hz = 0.0
         self._buffer = buffer
-        self._messages = 0
+        self._received = 0
         self._reported_s = now_s
         self._last_message_s: float | None = None
         # What is held, as last seen, and since when messages have changed nothing of it.
@@ -48,8 +48,7 @@ class InputMonitor:
     def report(self, topic: TopicStatus, now_s: float) -> DiagnosticStatus:
         """Return the state of the input; ``now_s`` is a steady time in seconds."""
         buffer = self._buffer
-        # A reset starts the count anew.
-        arrived = buffer.messages - (self._messages if buffer.messages >= self._messages else 0)
+        arrived = buffer.received - self._received
         if now_s > self._reported_s:
             self.rate_hz = arrived / (now_s - self._reported_s)
         if arrived:
@@ -59,7 +58,7 @@ class InputMonitor:
             self._held, self._useless_since_s = held, None
         elif arrived and self._useless_since_s is None:
             self._useless_since_s = now_s
-        self._messages, self._reported_s = buffer.messages, now_s
+        self._received, self._reported_s = buffer.received, now_s
         status = DiagnosticStatus(name=self.name, hardware_id=buffer.frames[1])
         status.level, status.message = self._judge(topic, now_s)
         span = buffer.span_ns
