@@ -189,7 +189,8 @@ def test_a_process_whose_node_is_gone_does_not_begin():
     done = subprocess.run(
         [sys.executable, '-c', worker._BOOTSTRAP, '0', *sys.path], stdin=subprocess.DEVNULL,
         capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (1, b'')
+    assert (done.returncode, done.stderr) == (
+        1, b'no calibration: the node, process 0, has gone\n')
 
 
 def test_no_thread_left_is_an_answer(monkeypatch):

@@ -157,6 +157,8 @@ def main(node: int) -> int:
         # A node that is killed stops nothing, and a session of its own hears of no terminal.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != node:
+        # It went before that took effect.
+        sys.stderr.write(f'no calibration: the node, process {node}, has gone\n')
         return 1
     os.nice(_NICENESS)
     # Solvers written in C print where they like; the answer alone goes to the pipe.
