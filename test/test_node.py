@@ -271,10 +271,14 @@ def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
         damaged.append(whole[:12] + b'\xff' * 4 + whole[16:])
         damaged.append(b'\x00\x00' + whole[2:])
         a.publish(whole)
-        for message in damaged:
+        if type_name == 'Path':
+            # Of Paths that wait, only the newest is read.
+            client.wait(lambda: client.value('trajectory_a', 'messages') == '1', 'the Path')
+        for count, message in enumerate(damaged, 1):
             a.publish(message)
-        client.wait(lambda: client.value('trajectory_a', 'refused: unreadable')
-                    == str(len(damaged)), 'the count')
+            if type_name == 'Path' or count == len(damaged):
+                client.wait(lambda count=count: client.value(
+                    'trajectory_a', 'refused: unreadable') == str(count), 'the count')
         client.wait(lambda: f'{len(damaged)} unreadable' in node.log, 'the log')
         client.publish_drive(stamps_ns, poses_a, poses_b, types=(type_name, 'Odometry'))
         answer = client.call('calibrate')
@@ -285,8 +289,8 @@ def test_damaged_bytes_are_counted_and_good_messages_go_on(tmp_path, type_name):
     assert (status, 'Traceback' in node.log) == (0, False), node.log
 
 
-def test_a_bag_that_loops_starts_anew(tmp_path):
-    with ros.running(tmp_path, *TAYLOR) as (_, client):
+def test_a_bag_that_loops_starts_anew_and_says_what_it_forgot(tmp_path):
+    with ros.running(tmp_path, *TAYLOR) as (node, client):
         stamps_ns, poses_a, poses_b = ros.drive(poses=150)
         a, b = client.publish_drive(stamps_ns, poses_a, poses_b)
         for stamp, pose_a, pose_b in zip(
@@ -296,6 +300,10 @@ def test_a_bag_that_loops_starts_anew(tmp_path):
         client.wait_for_poses(60, 60)
         answer = client.call('calibrate')
         assert client.value('trajectory_a', 'clock jumps') == '1'
+        status = client.status('trajectory_a')
+        log = node.log
+    assert (status.level, '150 poses were forgotten' in status.message) == (b'\x01', True)
+    assert log.count('went back, 150 poses were forgotten') == 2
     assert answer.success, answer.message
     assert 'of 60 poses' in answer.message
 
@@ -362,6 +370,26 @@ def test_both_qualities_of_service_and_a_remapped_topic_match(tmp_path):
         log = node.log
     assert 'lidar_slam/odometry (best_effort)' in log
     assert 'visual_slam/pose (reliable)' in log
+
+
+@pytest.mark.parametrize('arguments, topics', [
+    (('-r', 'trajectory_a:=trajectory_b', '-r', 'trajectory_b:=trajectory_a'),
+     ('trajectory_b', 'trajectory_a')),
+    (('-p', 'topic_a:=slam', '-r', 'slam:=front', '-r', 'front:=rear'),
+     ('front', 'trajectory_b')),
+])
+def test_a_name_is_remapped_once(tmp_path, arguments, topics):
+    with ros.running(tmp_path, *TAYLOR, *arguments) as (_, client):
+        publishers = [client.publisher(topic) for topic in topics]
+        stamps_ns, poses_a, _ = ros.drive(poses=5)
+        for publisher, sensor in zip(publishers, 'ab', strict=True):
+            for stamp, pose in zip(stamps_ns, poses_a, strict=True):
+                publisher.publish(ros.to_message('Odometry', stamp, pose, 'map', sensor))
+        client.wait_for_poses(5, 5)
+        for sensor, topic in zip('ab', topics, strict=True):
+            assert client.value(f'trajectory_{sensor}', 'sensor_frame') == sensor
+            status = client.status(f'trajectory_{sensor}')
+            assert f'on {client.namespace}/{topic}: ' in status.message
 
 
 def test_the_status_says_what_is_missing(tmp_path):
@@ -455,6 +483,10 @@ def test_results_are_saved_and_restored(tmp_path):
         extrinsic = late.latched()
         late.wait(lambda: extrinsic, 'the restored extrinsic')
         late.wait(lambda: f'restored {first}' in node.log, 'the log')
+        late.wait(lambda: late.status('calibration') is not None, 'the diagnostics')
+        # It says what is missing for another answer, and which one is published.
+        assert late.status('calibration').message.startswith('drive: 0 motions')
+        assert late.value('calibration', 'extrinsic') == extrinsic_shown
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
     assert extrinsic[0].child_frame_id == 'camera'
 
@@ -539,6 +571,8 @@ def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
         client.call('reset')
         client.wait_for_poses(0, 0)
         assert node.log.count('enough motion') == 1
+        assert client.status('calibration').message.startswith('drive: 0 motions')
+        assert client.value('calibration', 'extrinsic')
     assert before.startswith('drive')
     assert after == 'enough motion: call ~/calibrate'
     assert len(extrinsic) == 1
@@ -553,6 +587,17 @@ def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
         assert 'nothing restored: result_directory holds no result yet' in node.log
 
 
+def refused(folder, arguments, domain=1):
+    """Start a node that must end by itself with status 2; return its log."""
+    node = ros.NodeProcess(folder, domain, '/test_start', arguments)
+    try:
+        assert node.process.wait(ros.LIMIT_S) == 2
+    finally:
+        node.process.kill()
+    assert 'Traceback' not in node.log
+    return node.log
+
+
 @pytest.mark.parametrize('arguments, sentence', [
     (('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
     (('-p', 'solver:=magic'), "solver 'magic' is unknown"),
@@ -561,29 +606,26 @@ def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     (('-p', 'topic_a:=trajectory_b'), 'topic_a and topic_b are both'),
     (('-p', 'restore:=true'), 'restore needs result_directory'),
     (('-p', 'result_directory:=/proc/here'), 'result_directory /proc/here cannot be made'),
+    (('-p', 'result_directory:=~nobody_here/x'), '~nobody_here/x names the home of nobody'),
     (('-p', 'topic_a:=a//b'), 'is not a name of a topic'),
+    (('-p', 'frame_a:=[]'), 'if one is an empty list, correct it'),
+    (('-p', b'frame_a:=\xff'), "can't encode character"),
+    (('-p', 'use_sim_timer:=true'), "parameter 'use_sim_timer' is unknown"),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
 ])
 def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
         tmp_path, arguments, sentence):
-    node = ros.NodeProcess(tmp_path, 1, '/test_start', arguments)
-    try:
-        assert node.process.wait(ros.LIMIT_S) == 2
-    finally:
-        node.process.kill()
-    assert sentence in node.log
-    assert 'Traceback' not in node.log
+    assert sentence in refused(tmp_path, arguments)
+
+
+def test_a_domain_without_ports_ends_the_node_with_a_sentence(tmp_path):
+    assert 'ROS_DOMAIN_ID is 900, needed 0 to 232' in refused(tmp_path, (), domain=900)
 
 
 def test_publish_tf_without_tf2_msgs_is_refused_at_the_start(tmp_path):
     if importlib.util.find_spec('tf2_msgs') is not None:
         pytest.skip('tf2_msgs is installed here')
-    node = ros.NodeProcess(tmp_path, 1, '/test_start', ('-p', 'publish_tf:=true'))
-    try:
-        assert node.process.wait(ros.LIMIT_S) == 2
-    finally:
-        node.process.kill()
-    assert 'publish_tf needs tf2_msgs' in node.log
+    assert 'publish_tf needs tf2_msgs' in refused(tmp_path, ('-p', 'publish_tf:=true'))
 
 
 def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):
@@ -599,7 +641,7 @@ def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):
     assert np.allclose(ros.matrix(latest), ros.T_A_B, atol=1e-10)
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals_end_the_node_cleanly(tmp_path, number):
     for _ in range(3):
         with ros.running(tmp_path) as (node, client):
@@ -609,10 +651,10 @@ def test_signals_end_the_node_cleanly(tmp_path, number):
         assert seconds < 1.0
 
 
-def test_a_signal_while_solving_leaves_no_process_behind(tmp_path):
+def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_path):
     with ros.running(tmp_path, '-p', 'solver:=dnlo', '-p', 'reference:=B1') as (node, client):
         client.publish_drive(*ros.drive(poses=2000))
-        client.start_call('calibrate')
+        pending = client.start_call('calibrate')
         children = []
 
         def solving():
@@ -623,8 +665,11 @@ def test_a_signal_while_solving_leaves_no_process_behind(tmp_path):
             return children
         client.wait(solving, 'the solver process')
         status, seconds = node.stop()
+        client.wait(pending.done, 'the answer')
     assert (status, 'Traceback' in node.log) == (0, False), node.log
     assert seconds < 1.0
+    assert not pending.result().success
+    assert pending.result().message == 'stopped: the node is shutting down'
     alive = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)],
                            capture_output=True, text=True, check=False).stdout
     assert alive.split() == []

@@ -59,11 +59,12 @@ def test_package_xml_declares_what_the_code_imports():
     declared = {
         item.text for item in ET.parse(ROOT / 'package.xml').iter('exec_depend')}
     used = set()
-    for path in (ROOT / NAME / 'ros').glob('*.py'):
+    for path in [*(ROOT / NAME / 'ros').glob('*.py'), *(ROOT / 'launch').glob('*.py')]:
         used |= set(re.findall(
-            r'^\s*(?:from|import) (rclpy|\w+_msgs|\w+_interfaces|std_srvs)\b',
+            r'^\s*(?:from|import) '
+            r'(rclpy|\w+_msgs|\w+_interfaces|std_srvs|launch|launch_ros|ament_\w+)\b',
             path.read_text(encoding='utf-8'), re.MULTILINE))
-    assert used
+    assert {'rclpy', 'launch'} <= used
     assert used <= declared
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from trajectory_calibration import CalibrationConfig, se3, TrajectoryError
+from trajectory_calibration import AssociationError, CalibrationConfig, se3, TrajectoryError
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Refusal
 from trajectory_calibration.ros.session import CalibrationSession
 
@@ -128,10 +128,29 @@ def test_a_clock_that_went_back_starts_the_buffer_anew_without_losing_a_pose():
     buffer = filled(100)
     for k in range(20):
         buffer.append(50 * SECOND + k * SECOND // 10, ('map', 'lidar'), along_x(0.1 * k))
-    assert buffer.clock_jumps == 1
+    assert (buffer.clock_jumps, buffer.forgotten) == (1, 100)
     assert buffer.snapshot('a').stamps_ns.tolist() == [
         50 * SECOND + k * SECOND // 10 for k in range(20)]
     assert not any(buffer.refused.values())
+
+
+@pytest.mark.parametrize('wrong', [3, 150])
+def test_wrong_stamps_of_less_than_a_second_forget_nothing(wrong):
+    buffer = filled(1000, step_ns=SECOND // 200)
+    newest = buffer.span_ns[1]
+    for k in range(wrong):
+        buffer.append(SECOND + k * SECOND // 200, ('map', 'lidar'), along_x(1.0))
+    buffer.append(newest + SECOND // 200, ('map', 'lidar'), along_x(2.0))
+    assert len(buffer) == 1001
+    assert buffer.refused[Refusal.STRAY_STAMP] == wrong
+    assert (buffer.clock_jumps, buffer.forgotten) == (0, 0)
+
+
+def test_a_clock_that_went_back_and_hardly_moves_is_held_back_within_the_bound():
+    buffer = filled(100, BufferLimits(max_poses=100))
+    for k in range(100):
+        buffer.append(SECOND + k, ('map', 'lidar'), along_x(0.1 * k))
+    assert (len(buffer), buffer.clock_jumps, buffer.forgotten) == (100, 1, 100)
 
 
 def test_a_long_pause_loses_no_pose():
@@ -273,6 +292,18 @@ def test_headers_without_stamps_are_named():
     buffer.replace(np.array([0, 0, 1, 2]) * SECOND, row(4), ('map', ''))
     assert len(buffer) == 2
     assert buffer.refusals() == '2 poses refused (2 no stamp)'
+
+
+def test_a_failure_ends_with_what_was_refused():
+    session = CalibrationSession('/a', '/b', BufferLimits())
+    for buffer, start_s, frames in (
+            (session.buffer_a, 1, ('map', 'lidar')), (session.buffer_b, 101, ('map', 'camera')),
+            (session.buffer_b, 1, ('other', 'camera'))):
+        for k in range(20):
+            buffer.append((start_s + k) * SECOND, frames, along_x(k))
+    job = session.job(CalibrationConfig())
+    with pytest.raises(AssociationError, match=r'; camera: 20 poses refused \(20 other frame\)$'):
+        job.run()
 
 
 def test_too_few_poses_say_what_to_do():

@@ -132,6 +132,29 @@ def test_another_clock_offset_begins_anew_from_what_is_held():
     assert (right.translation_std < 1e-3 * wrong.translation_std).all()
 
 
+@pytest.mark.parametrize('limits', [BufferLimits(max_poses=600), BufferLimits(max_age_s=60.0)])
+def test_motion_that_has_left_the_buffers_does_not_count(limits):
+    stamps_ns, a, b = drive(900, (0, 1, 2))
+    straight = se3.exp_se3(np.arange(1, 1001)[:, None] * [0.1, 0, 0, 0, 0, 0])
+    a = np.concatenate([a, a[-1] @ straight])
+    b = np.concatenate([b, b[-1] @ se3.inverse(T_A_B) @ straight @ T_A_B])
+    stamps_ns = stamps_ns[0] + np.arange(len(a)) * 10**8
+    buffers = PoseBuffer(limits), PoseBuffer(limits)
+    monitor, driven = ExcitationMonitor(), []
+    for k in range(0, len(a), 10):
+        part = slice(k, k + 10)
+        fill(buffers[0], stamps_ns[part], a[part])
+        fill(buffers[1], stamps_ns[part], b[part])
+        excitation = monitor.update(*buffers, 0, GAP_NS)
+        driven.append(excitation.driven)
+        if k == 890:
+            assert excitation.sufficient(0.02, 0.2)
+    assert not excitation.sufficient(0.02, 0.2)
+    assert 58 <= excitation.motions <= 66
+    # What was driven counts on, whatever has left.
+    assert driven == list(range(len(driven)))
+
+
 def test_gaps_are_not_bridged():
     stamps_ns, a, b = drive(900, (0, 1, 2))
     keep = (np.arange(900) < 200) | (np.arange(900) > 700)

@@ -33,9 +33,18 @@ def test_without_ros_it_says_what_to_do():
 
 
 @pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is missing')
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_during_the_imports_is_a_clean_end(number):
     done = subprocess.run(
         [sys.executable, '-c', SIGNALLED.format(number=int(number))], capture_output=True,
         text=True, timeout=60, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'sent\n', '')
+
+
+def test_nohup_keeps_a_node_whose_terminal_closes():
+    code = ('import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n'
+            'from trajectory_calibration.ros.signals import StopSignals; stop = StopSignals()\n'
+            'os.kill(os.getpid(), signal.SIGHUP); print(stop.received)')
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.stdout == 'False\n'

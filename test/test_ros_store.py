@@ -112,8 +112,10 @@ def test_saving_leaves_the_umask_of_the_process_alone_and_obeys_it(
 def test_damaged_files_are_passed_over(tmp_path, result):
     store = ResultStore(str(tmp_path), '/node')
     good, bad = store.save(result), store.save(result)
-    bad.write_text('translation: [')
-    assert store.latest()[0] == good
+    unsendable = good.read_text().replace('frame_a: sensor', r'frame_a: "\ud800"')
+    for text in (unsendable, 'translation: ['):
+        bad.write_text(text)
+        assert store.latest()[0] == good
     good.unlink()
     with pytest.raises(ResultError, match='cannot be read'):
         store.latest()

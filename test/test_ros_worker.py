@@ -1,9 +1,12 @@
 """The solver process: one job at a time, stopped when asked, nothing left behind. Needs no ROS."""
 
+import os
 import pickle
 import signal
 import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -152,6 +155,42 @@ def test_a_damaged_reply_is_an_answer(monkeypatch, reply):
     waiting = Waiting()
     waiting.solver.start(job(), 60.0)
     assert 'damaged' in str(waiting.outcome())
+
+
+class Endless:
+    """A job that says when it has begun; its process holds standard error until it ends."""
+
+    def run(self):
+        os.write(2, b'begun\n')
+        time.sleep(60)
+
+
+# What becomes of the solver process of a node that is killed.
+NODE = """
+import sys
+sys.path[:] = {path!r}
+from test_ros_worker import Endless, Waiting
+waiting = Waiting()
+waiting.solver.start(Endless(), 60.0)
+waiting.outcome()
+"""
+
+
+@pytest.mark.skipif(sys.platform != 'linux', reason='other systems have no such signal')
+def test_the_process_ends_with_a_node_that_is_killed():
+    code = NODE.format(path=sys.path)
+    with subprocess.Popen([sys.executable, '-c', code], stderr=subprocess.PIPE) as node:
+        assert node.stderr.readline() == b'begun\n'
+        node.kill()
+        assert node.communicate(timeout=20) == (None, b'')
+
+
+def test_a_process_whose_node_is_gone_does_not_begin():
+    done = subprocess.run(
+        [sys.executable, '-c', worker._BOOTSTRAP, '0', *sys.path], stdin=subprocess.DEVNULL,
+        capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (
+        1, b'no calibration: the node, process 0, has gone\n')
 
 
 def test_no_thread_left_is_an_answer(monkeypatch):

@@ -21,6 +21,9 @@ from trajectory_calibration.trajectory import MAX_POSITION, ROTATION_TOLERANCE, 
 JUMP_NS = 5_000_000_000
 # So many poses in a row must agree before a jump of the clock, or new frames, are believed.
 CONFIRMATIONS = 3
+# And the new clock must go on for so long: at 200 Hz three poses are over in 10 ms, which a
+# receiver that starts anew fills with wrong stamps.
+CONFIRMATION_NS = 1_000_000_000
 
 _FIRST_ALLOCATION = 1024
 
@@ -111,9 +114,10 @@ class PoseBuffer:
 
     Attributes
     ----------
-    messages : messages taken since the start or the last ``clear``.
+    received : messages since the start.
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
+    forgotten : poses that it held at those times.
     frame_changes : times poses held gave way to poses in other frames.
     refused : count of refused poses for each Refusal.
     frames : of the messages held.
@@ -128,19 +132,26 @@ class PoseBuffer:
         self._still_distance_squared = limits.still_distance**2
         self._still_cosine = math.cos(math.radians(limits.still_angle_deg) / 2)
         self.generation = 0
+        self.received = 0
         self.clear()
 
     def clear(self) -> None:
         """Forget all poses, frames and counts."""
-        self.messages = 0
+        self._received_before = self.received
         self.still = 0
         self.clock_jumps = 0
+        self.forgotten = 0
         self.frame_changes = 0
         self.refused = dict.fromkeys(Refusal, 0)
         self._forget_poses()
 
     def __len__(self) -> int:
         return self._end - self._start
+
+    @property
+    def messages(self) -> int:
+        """Messages since the start or the last ``clear``."""
+        return self.received - self._received_before
 
     @property
     def nbytes(self) -> int:
@@ -162,7 +173,7 @@ class PoseBuffer:
 
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
-        self.messages += 1
+        self.received += 1
         fault = _fault(pose) if stamp_ns else Refusal.NO_STAMP
         if fault is not None:
             self.refused[fault] += 1
@@ -185,7 +196,7 @@ class PoseBuffer:
 
     def count_unreadable(self) -> None:
         """Count a message of which nothing could be read."""
-        self.messages += 1
+        self.received += 1
         self.refused[Refusal.UNREADABLE] += 1
 
     def replace(
@@ -197,7 +208,7 @@ class PoseBuffer:
         dropped poses are those of this trajectory; those of messages go on. A trajectory without
         a usable pose is counted and replaces nothing.
         """
-        self.messages += 1
+        self.received += 1
         stamped = stamps_ns != 0
         finite = np.isfinite(poses).all(axis=1)
         # The square of a huge number is infinite, which is no unit length either.
@@ -305,14 +316,22 @@ class PoseBuffer:
         if self._jump and stamp_ns <= self._jump[-1][0]:
             self._drop_strays()
         self._jump.append((stamp_ns, pose))
-        if len(self._jump) < CONFIRMATIONS:
+        if not self._jump_is_confirmed():
             return
         confirmed, self._jump = self._jump, []
         if confirmed[0][0] < self._last_ns:
-            self._forget_poses(self.frames)
             self.clock_jumps += 1
+            self.forgotten += len(self)
+            self._forget_poses(self.frames)
         for stamp, held in confirmed:
             self._store(stamp, held)
+
+    def _jump_is_confirmed(self) -> bool:
+        # Of a clock that hardly moves no more are held back than a buffer keeps.
+        if len(self._jump) >= self._limits.max_poses:
+            return True
+        lasted_ns = self._jump[-1][0] - self._jump[0][0]
+        return len(self._jump) >= CONFIRMATIONS and lasted_ns >= CONFIRMATION_NS
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
         if self._stands(stamp_ns, pose):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from trajectory_calibration.result import CalibrationResult
@@ -13,6 +15,8 @@ from trajectory_calibration.se3 import FloatArray
 
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0
+# A clock that went back is reported for so long, seconds.
+_RECENT_S = 60.0
 
 
 class InputMonitor:
@@ -29,21 +33,32 @@ class InputMonitor:
         self.name = name
         self.rate_hz = 0.0
         self._buffer = buffer
-        self._messages = 0
+        self._received = 0
         self._reported_s = now_s
         self._last_message_s: float | None = None
+        # What is held, as last seen, and since when messages have changed nothing of it.
+        self._held: tuple[object, ...] = ()
+        self._useless_since_s: float | None = None
         self._refused = 0
+        # Clock jumps and the poses that they cost, as last seen.
+        self._jumps = (0, 0)
+        self._jumped_s = -math.inf
+        self._loss = ''
 
     def report(self, topic: TopicStatus, now_s: float) -> DiagnosticStatus:
         """Return the state of the input; ``now_s`` is a steady time in seconds."""
         buffer = self._buffer
-        # A reset starts the count anew.
-        arrived = buffer.messages - (self._messages if buffer.messages >= self._messages else 0)
+        arrived = buffer.received - self._received
         if now_s > self._reported_s:
             self.rate_hz = arrived / (now_s - self._reported_s)
         if arrived:
             self._last_message_s = now_s
-        self._messages, self._reported_s = buffer.messages, now_s
+        held = (buffer.generation, buffer.span_ns)
+        if held != self._held:
+            self._held, self._useless_since_s = held, None
+        elif arrived and self._useless_since_s is None:
+            self._useless_since_s = now_s
+        self._received, self._reported_s = buffer.received, now_s
         status = DiagnosticStatus(name=self.name, hardware_id=buffer.frames[1])
         status.level, status.message = self._judge(topic, now_s)
         span = buffer.span_ns
@@ -68,6 +83,17 @@ class InputMonitor:
         changed, self._refused = total > self._refused, total
         return self._buffer.refusals() if changed else ''
 
+    def new_loss(self, now_s: float) -> str:
+        """Return what a clock that went back has cost since the last call, or ''."""
+        buffer = self._buffer
+        (jumps, forgotten), self._jumps = self._jumps, (buffer.clock_jumps, buffer.forgotten)
+        if buffer.clock_jumps <= jumps:
+            return ''
+        self._jumped_s = now_s
+        self._loss = (f'its stamps went back, {buffer.forgotten - forgotten} poses were '
+                      'forgotten; unless a bag began anew, correct the clock of its sender')
+        return self._loss
+
     def _judge(self, topic: TopicStatus, now_s: float) -> tuple[bytes, str]:
         if not topic.ready:
             return DiagnosticStatus.WARN, topic.text
@@ -79,6 +105,12 @@ class InputMonitor:
         if self._buffer.messages and not len(self._buffer):
             return DiagnosticStatus.WARN, (
                 f'{topic.text}: none of its poses can be used: {self._buffer.refusals()}')
+        if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
+            why = self._buffer.refusals() or 'their stamps jumped and hardly go on'
+            return DiagnosticStatus.WARN, (
+                f'{topic.text}: no pose taken for {now_s - self._useless_since_s:.0f} s: {why}')
+        if self._buffer.clock_jumps and now_s - self._jumped_s < _RECENT_S:
+            return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 

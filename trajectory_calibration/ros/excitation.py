@@ -8,7 +8,8 @@ with phi the rotation vectors and t the translations of a motion, D = R_A - I,
 
 their residuals and hence the standard deviations of an answer. The excitation is taken from the
 product of what a and b saw, whose noises are independent: noise alone does not count as motion.
-A second of driving costs one small update, whatever was driven before. Nothing here imports ROS.
+A second of driving costs one small update, whatever was driven before; when a tenth of what the
+buffers hold has left them, the sums begin anew from the rest. Nothing here imports ROS.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ from trajectory_calibration.se3 import FloatArray
 _STEP_NS = 1_000_000_000
 # A motion over more than this, because of a gap, says little: drift and noise have grown.
 _LONGEST_NS = 2_500_000_000
+# Poses may leave the buffers for so much of the time held before their motions leave the sums.
+_SHARE_LEFT = 0.1
 # Fewer motions leave no residual to judge the noise by.
 _FEWEST = 5
 
@@ -42,6 +45,7 @@ class Excitation:
     Attributes
     ----------
     motions : motions of about a second that both sensors saw.
+    driven : the same with those that have left the buffers since these began.
     rotation_deg : (3,) root mean square rotation of a motion about x, y, z, degrees.
     translation_std : (3,) predicted standard deviations of the translation, metres.
     rotation_std_deg : (3,) predicted standard deviations of the rotation, degrees. Infinite
@@ -50,6 +54,7 @@ class Excitation:
     """
 
     motions: int
+    driven: int
     rotation_deg: FloatArray
     translation_std: FloatArray
     rotation_std_deg: FloatArray
@@ -86,6 +91,8 @@ class ExcitationMonitor:
 
     def __init__(self) -> None:
         self._basis = (-1, -1, 0)
+        # Motions whose poses have left the buffers.
+        self._left = 0
         self._clear()
 
     def update(
@@ -96,12 +103,28 @@ class ExcitationMonitor:
         basis = (a.generation, b.generation, time_offset_ns)
         if basis != self._basis:
             self._basis = basis
+            self._left = 0
             self._clear()
         self._advance(a, b, time_offset_ns, max_gap_ns)
-        return self._sums.excitation()
+        if self._much_has_left(a, b, time_offset_ns):
+            summed = self._sums.motions
+            self._clear()
+            self._advance(a, b, time_offset_ns, max_gap_ns)
+            self._left += summed - self._sums.motions
+        return self._sums.excitation(self._left)
+
+    def _much_has_left(self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int) -> bool:
+        span_a, span_b = a.span_ns, b.span_ns
+        if span_a is None or span_b is None or self._first_ns is None:
+            return False
+        oldest_ns = max(span_a[0], span_b[0] + time_offset_ns)
+        held_ns = min(span_a[1], span_b[1] + time_offset_ns) - oldest_ns
+        return oldest_ns - self._first_ns > max(_SHARE_LEFT * held_ns, _STEP_NS)
 
     def _clear(self) -> None:
         self._sums = _MotionSums()
+        # The first instant in the sums.
+        self._first_ns: int | None = None
         # The last instant looked at, and the last one with poses of both sensors.
         self._seen_ns = np.iinfo(np.int64).min
         self._stamps_ns = np.empty(0, np.int64)
@@ -133,6 +156,8 @@ class ExcitationMonitor:
         self._sums.add(
             (se3.inverse(self._poses_a[:-1]) @ self._poses_a[1:])[near],
             (se3.inverse(self._poses_b[:-1]) @ self._poses_b[1:])[near])
+        if self._first_ns is None and len(self._stamps_ns):
+            self._first_ns = int(self._stamps_ns[0])
         self._stamps_ns = self._stamps_ns[-1:]
         self._poses_a, self._poses_b = self._poses_a[-1:], self._poses_b[-1:]
 
@@ -169,15 +194,16 @@ class _MotionSums:
         self._t_b_t_a += t_b.T @ t_a
         self._translation_energy += float(np.sum(t_a**2) + np.sum(t_b**2))
 
-    def excitation(self) -> Excitation:
-        """Return what the sums say."""
+    def excitation(self, left: int) -> Excitation:
+        """Return what the sums say, after ``left`` motions that are no longer in them."""
         U, _, Vt = np.linalg.svd(self._phi_a_phi_b)
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         seen = _symmetric(self._phi_a_phi_b @ R.T)
         rms = np.sqrt(np.maximum(np.diag(seen), 0.0) / max(1, self.motions))
         if self.motions < _FEWEST:
             unknown = np.full(3, np.inf)
-            return Excitation(self.motions, np.rad2deg(rms), unknown, unknown)
+            return Excitation(
+                self.motions, self.motions + left, np.rad2deg(rms), unknown, unknown)
         freedom = 3 * self.motions - 3
         rotation_residual = self._rotation_energy - 2 * np.sum(R * self._phi_a_phi_b)
         rotation = _covariance(rotation_residual / freedom, _inverse(_seen_across(seen)))
@@ -194,8 +220,9 @@ class _MotionSums:
         translation = _covariance(translation_residual / freedom, information)
         if np.isfinite(rotation).all():
             translation = translation + moved @ rotation @ moved.T
-        return Excitation(self.motions, np.rad2deg(rms), np.sqrt(np.diag(translation)),
-                          np.rad2deg(np.sqrt(np.diag(rotation))))
+        return Excitation(
+            self.motions, self.motions + left, np.rad2deg(rms), np.sqrt(np.diag(translation)),
+            np.rad2deg(np.sqrt(np.diag(rotation))))
 
 
 # (a x b)_m = sum of e_mjk a_j b_k.

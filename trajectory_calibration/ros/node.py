@@ -15,6 +15,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
+from rclpy.utilities import get_default_context
 from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
@@ -40,14 +41,19 @@ from trajectory_calibration.ros.worker import SolverProcess, StoppedError
 
 NODE_NAME = 'trajectory_calibration'
 
+# Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
+_HIGHEST_DOMAIN = 232
+
 # How often the graph is searched for publishers, and how often the log speaks of bad poses.
 _WATCH_S = 0.2
 _DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
+# How long the end waits for the answer to a caller.
+_FAREWELL_S = 0.5
 
-# How much more motion there must be before a calibration that failed says nothing about the
-# next one: its message leaves the diagnostics, and auto_calibrate tries again.
-_MORE_MOTION = 1.2
+# How much more motion, of that which it had, there must be before a calibration that failed says
+# nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
+_MORE_MOTION = 0.2
 
 
 class CalibrationNode(Node):
@@ -61,8 +67,12 @@ class CalibrationNode(Node):
     """
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(
-            NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+        try:
+            super().__init__(
+                NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+        except ValueError as error:
+            raise ConfigError(
+                f'parameters: {error}; if one is an empty list, correct it') from error
         self._settings = NodeParameters(self)
         values = self._settings.values()
         topics = [resolve_topic(self, values[name]) for name in ('topic_a', 'topic_b')]
@@ -73,8 +83,9 @@ class CalibrationNode(Node):
         buffers = self._session.buffer_a, self._session.buffer_b
         self._inputs = [
             TrajectorySubscription(
-                self, topic, find_type(values[name]), buffer, values['queue_depth'])
-            for topic, name, buffer in zip(topics, ('type_a', 'type_b'), buffers, strict=True)]
+                self, values[f'topic_{side}'], find_type(values[f'type_{side}']), buffer,
+                values['queue_depth'])
+            for side, buffer in zip('ab', buffers, strict=True)]
         self._monitors = [
             InputMonitor(f'{self.get_fully_qualified_name()}: {name}', buffer, time.monotonic())
             for name, buffer in zip(('trajectory_a', 'trajectory_b'), buffers, strict=True)]
@@ -85,9 +96,12 @@ class CalibrationNode(Node):
         self._solved = self.create_guard_condition(self._on_solved)
         self._solver = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
+        # Whether a caller of ~/calibrate waits.
+        self._called = False
         self._excitation = ExcitationMonitor()
         self._calibrated = False
-        self._motions_tried = 0
+        # Motions driven when a calibration was tried last, and that it had.
+        self._tried = (0, 0)
 
         self._store = None
         if values['result_directory']:
@@ -109,6 +123,13 @@ class CalibrationNode(Node):
         if values['restore']:
             self._restore()
 
+    def take_leave(self, executor: SingleThreadedExecutor) -> None:
+        """Stop a running calibration and answer its caller."""
+        self._solver.cancel('stopped: the node is shutting down')
+        deadline_s = time.monotonic() + _FAREWELL_S
+        while self._called and time.monotonic() < deadline_s:
+            executor.spin_once(timeout_sec=0.05)
+
     def shutdown(self) -> None:
         """Stop a running calibration and destroy the node."""
         self._solver.shutdown()
@@ -125,13 +146,15 @@ class CalibrationNode(Node):
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
-        self._answer = Future()
+        self._answer, self._called = Future(), True
         self._start_solver(self._settings.values())
         response.success, response.message = await self._answer
+        self._called = False
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
-        self._motions_tried = self._observe(values)[0].motions
+        excitation = self._observe(values)[0]
+        self._tried = excitation.driven, excitation.motions
         job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
         self._solver.start(job, values['calibration_timeout'])
 
@@ -142,7 +165,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
         self._solver.cancel('stopped by a reset')
         self._session.reset()
-        self._calibrated, self._motions_tried, self._last_failure = False, 0, ''
+        self._calibrated, self._tried, self._last_failure = False, (0, 0), ''
         response.success = True
         response.message = (
             f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
@@ -210,6 +233,10 @@ class CalibrationNode(Node):
 
     def _report(self) -> None:
         now_s = time.monotonic()
+        for monitor in self._monitors:
+            loss = monitor.new_loss(now_s)
+            if loss:
+                self.get_logger().warning(f'{monitor.name}: {loss}')
         statuses = [
             monitor.report(item.status, now_s)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
@@ -248,8 +275,8 @@ class CalibrationNode(Node):
     def _has_moved_on(self, excitation: Excitation) -> bool:
         """Return whether the data differ much from those of the last calibration."""
         # Fewer motions are those of a buffer that started anew.
-        tried = self._motions_tried
-        return not tried <= excitation.motions <= _MORE_MOTION * tried
+        driven, motions = self._tried
+        return not driven <= excitation.driven <= driven + _MORE_MOTION * motions
 
     def _calibrate_when_ready(
         self, values: Mapping[str, Any], excitation: Excitation,
@@ -279,7 +306,8 @@ class CalibrationNode(Node):
             status.message = 'calibrating'
         elif self._last_failure and not self._has_moved_on(excitation):
             status.level, status.message = DiagnosticStatus.WARN, self._last_failure
-        elif result is not None and not self._last_failure:
+        # A restored answer, or one before a reset, says nothing about what is held.
+        elif self._calibrated and not self._last_failure:
             status.message = 'calibrated'
         else:
             status.message = advice
@@ -303,12 +331,15 @@ class CalibrationNode(Node):
 def _init(args: Sequence[str] | None) -> None:
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
+    except (RuntimeError, UnicodeEncodeError) as error:
         raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
+    domain = get_default_context().get_domain_id()
+    if domain > _HIGHEST_DOMAIN:
+        raise ConfigError(f'ROS_DOMAIN_ID is {domain}, needed 0 to {_HIGHEST_DOMAIN}')
 
 
 def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM, which ``stop`` notes; return the exit status."""
+    """Run the node until a signal, which ``stop`` notes; return the exit status."""
     stop = stop or StopSignals()
     node = None
     try:
@@ -318,6 +349,7 @@ def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> 
         executor.add_node(node)
         while rclpy.ok() and not stop.received:
             executor.spin_once(timeout_sec=0.2)
+        node.take_leave(executor)
         executor.shutdown()
     except ConfigError as error:
         get_logger(NODE_NAME).fatal(str(error))

@@ -30,8 +30,8 @@ TOPIC_OPTIONS = (
     Option('topic_b', str, 'trajectory_b', 'topic with the trajectory of the child sensor b'),
     Option('type_a', str, AUTOMATIC, f'message type of topic_a: {_TYPES}'),
     Option('type_b', str, AUTOMATIC, f'message type of topic_b: {_TYPES}'),
-    Option('queue_depth', int, 5000, 'messages that wait on each topic while the node is busy',
-           minimum=1, maximum=1_000_000),
+    Option('queue_depth', int, 5000, 'poses that wait on each topic while the node is busy; of '
+           'Paths only the newest does', minimum=1, maximum=1_000_000),
 )
 BUFFER_OPTIONS = (
     Option('max_poses', int, _LIMITS.max_poses, 'poses kept of each sensor, the newest',

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.errors import CalibrationError, MotionError
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer, Track
@@ -39,13 +39,19 @@ class CalibrationJob:
         CalibrationError
             As ``calibrate``, for tracks of fewer than two poses, and for an answer that must
             not go out: one with a direction that neither the motion nor a prior determined,
-            unless ``allow_unobserved``.
+            unless ``allow_unobserved``. The message ends with what was refused of the tracks.
 
         """
-        a, b = self.track_a.trajectory(), self.track_b.trajectory()
-        result = calibrate(a, b, self.config)
-        _require_observed(result)
-        return Calibration(result, make_overlay(a, b, result))
+        try:
+            a, b = self.track_a.trajectory(), self.track_b.trajectory()
+            result = calibrate(a, b, self.config)
+            _require_observed(result)
+            return Calibration(result, make_overlay(a, b, result))
+        except CalibrationError as error:
+            # What was refused may be why.
+            notes = [note for note in (*self.track_a.warnings, *self.track_b.warnings)
+                     if note not in str(error)]
+            raise type(error)('; '.join([str(error), *notes])) from error
 
 
 class CalibrationSession:

@@ -1,4 +1,4 @@
-"""The end of the process by SIGINT or SIGTERM, from before the first import that takes time.
+"""The end of the process by a signal, from before the first import that takes time.
 
 Nothing here imports ROS or anything that takes time to load.
 """
@@ -10,7 +10,7 @@ from types import FrameType
 
 
 class StopSignals:
-    """Turns SIGINT and SIGTERM into a flag.
+    """Turns SIGINT, SIGTERM and SIGHUP, which a terminal that closes sends, into a flag.
 
     The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
     that the loop reads ends every run the same way.
@@ -23,7 +23,11 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.received = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        # nohup has it ignored: the node is to outlive its terminal.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            numbers.append(signal.SIGHUP)
+        for number in numbers:
             signal.signal(number, self._on_signal)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:

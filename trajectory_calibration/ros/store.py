@@ -28,12 +28,17 @@ class ResultStore:
     Raises
     ------
     ConfigError
-        The folder cannot be made or written to.
+        The folder cannot be found, made or written to.
 
     """
 
     def __init__(self, folder: str, node_name: str) -> None:
-        self._folder = Path(folder).expanduser().absolute()
+        try:
+            self._folder = Path(folder).expanduser().absolute()
+        except RuntimeError as error:
+            raise ConfigError(
+                f'result_directory {folder} names the home of nobody known here; give its full '
+                'path') from error
         self._prefix = re.sub(r'\W+', '_', node_name.strip('/'))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
@@ -96,6 +101,12 @@ class ResultStore:
 
 def _load(path: Path) -> CalibrationResult | ResultError:
     try:
-        return CalibrationResult.load(path)
+        result = CalibrationResult.load(path)
+        # No message can carry a name that is no UTF-8; YAML can.
+        f'{result.frame_a}{result.frame_b}'.encode()
     except ResultError as error:
         return error
+    except UnicodeEncodeError as error:
+        return ResultError(
+            f'{path}: the name of a frame is {error.object!a}, needed text; correct the file')
+    return result

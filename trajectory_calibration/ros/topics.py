@@ -14,6 +14,7 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.ros.conversions import MESSAGE_TYPES, RosDeserialiser
 from trajectory_calibration.ros.feed import PoseFeed
+from trajectory_calibration.sources.cdr import PATH
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,13 @@ class TrajectorySubscription:
     node : Node
         That subscribes.
     topic : str
-        Its full name.
+        Its name as configured, before ROS remaps it.
     msgtype : str or None
         The type to subscribe to; None takes what the publishers offer.
     buffer : PoseBuffer
         That takes the poses.
     depth : int
-        Messages that may wait while the node is busy.
+        Messages of single poses that may wait while the node is busy.
 
     Attributes
     ----------
@@ -56,7 +57,9 @@ class TrajectorySubscription:
     def __init__(
         self, node: Node, topic: str, msgtype: str | None, buffer: PoseBuffer, depth: int,
     ) -> None:
-        self._node, self._topic, self._wanted = node, topic, msgtype
+        # ROS remaps whatever name it is given, so it gets the one before; people get the other.
+        self._node, self._name, self._wanted = node, topic, msgtype
+        self._topic = resolve_topic(node, topic)
         self._buffer, self._depth = buffer, depth
         self._msgtype: str | None = None
         self._profile: QoSProfile | None = None
@@ -65,7 +68,7 @@ class TrajectorySubscription:
 
     def update(self) -> None:
         """Look at the publishers and subscribe, or subscribe anew, as they require."""
-        publishers = self._node.get_publishers_info_by_topic(self._topic)
+        publishers = self._node.get_publishers_info_by_topic(self._name)
         if not publishers:
             self.status = TopicStatus(
                 f'no publisher on {self._topic}; start it, or set or remap the topic')
@@ -79,13 +82,27 @@ class TrajectorySubscription:
                 f'{self._topic} carries {" and ".join(offered)}, the parameter says '
                 f'{msgtype}; correct it or set auto')
             return
-        profile = _matching_profile(
-            [publisher for publisher in publishers if publisher.topic_type == msgtype],
-            self._depth)
+        profile = self._fitting_profile(
+            msgtype, [publisher for publisher in publishers if publisher.topic_type == msgtype])
         if msgtype != self._msgtype or profile != self._profile:
             self._subscribe(msgtype, profile)
         several = f' from {len(publishers)} publishers' if len(publishers) > 1 else ''
         self.status = TopicStatus(f'{msgtype} on {self._topic}{several}', ready=True)
+
+    def _fitting_profile(
+        self, msgtype: str, publishers: Sequence[TopicEndpointInfo],
+    ) -> QoSProfile:
+        # Each Path replaces the one before: those that wait only cost memory and time.
+        profile = _matching_profile(publishers, 1 if msgtype == PATH else self._depth)
+        if msgtype != self._msgtype or msgtype == PATH or self._profile is None:
+            return profile
+        # What publishers keep for latecomers has come already: a second time, it would be a
+        # clock that went back. Without it, the profile fits such publishers, too.
+        if (profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                and profile.reliability == self._profile.reliability):
+            return self._profile
+        profile.durability = DurabilityPolicy.VOLATILE
+        return profile
 
     def _only_type(self, offered: Sequence[str]) -> str | None:
         """Return the one usable type on offer, or say in the status why there is none."""
@@ -106,7 +123,7 @@ class TrajectorySubscription:
             self._buffer.clear()
         self._msgtype, self._profile = msgtype, profile
         self._subscription = self._node.create_subscription(
-            MESSAGE_TYPES[msgtype], self._topic,
+            MESSAGE_TYPES[msgtype], self._name,
             PoseFeed(msgtype, self._buffer, RosDeserialiser()), profile, raw=True)
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')

@@ -11,8 +11,10 @@ standard output. Both ends are this package on this machine; nothing else writes
 from __future__ import annotations
 
 from collections.abc import Callable
+import ctypes
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -25,12 +27,15 @@ Outcome = Calibration | CalibrationError
 # The solver gives way to whatever else the vehicle's computer has to do.
 _NICENESS = 10
 
-# The process finds every module where the node found it.
+# Of the prctl of Linux.
+_PR_SET_PDEATHSIG = 1
+
+# The process knows the node's, and finds every module where the node found it.
 _BOOTSTRAP = f"""
 import sys
-sys.path[:] = sys.argv[1:]
+node, sys.path[:] = int(sys.argv[1]), sys.argv[2:]
 from {__name__} import main
-sys.exit(main())
+sys.exit(main(node))
 """
 
 
@@ -97,7 +102,7 @@ class SolverProcess:
 
     def shutdown(self) -> None:
         """Stop whatever runs and wait for its end."""
-        self.cancel('the node is shutting down')
+        self.cancel('stopped: the node is shutting down')
         if self._thread is not None:
             self._thread.join()
 
@@ -121,7 +126,7 @@ class SolverProcess:
                 return StoppedError(self._cancelled)
             # A session of its own, so that Ctrl-C in a terminal reaches the node only.
             process = self._process = subprocess.Popen(
-                [sys.executable, '-c', _BOOTSTRAP, *sys.path],
+                [sys.executable, '-c', _BOOTSTRAP, str(os.getpid()), *sys.path],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
         with process:
             try:
@@ -146,8 +151,15 @@ class SolverProcess:
         return outcome
 
 
-def main() -> int:
-    """Read a job, run it, write its outcome."""
+def main(node: int) -> int:
+    """Read a job, run it, write its outcome; end with the process ``node``, however that ends."""
+    if sys.platform == 'linux':
+        # A node that is killed stops nothing, and a session of its own hears of no terminal.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != node:
+        # It went before that took effect.
+        sys.stderr.write(f'no calibration: the node, process {node}, has gone\n')
+        return 1
     os.nice(_NICENESS)
     # Solvers written in C print where they like; the answer alone goes to the pipe.
     reply = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
