@@ -46,9 +46,7 @@ def judge(scenario, solver, reference, seeds):
         if len(found.unobserved):
             unobserved += 1
             continue
-        error = np.concatenate([
-            run.T_a_b[:3, 3] - solution.T_a_b[:3, 3],
-            se3.log_so3(run.T_a_b[:3, :3] @ solution.T_a_b[:3, :3].T)])
+        error = se3.step_between(solution.T_a_b, run.T_a_b)
         nees.append(error @ np.linalg.solve(found.covariance, error) / 6)
         inside.append(np.abs(error) < 1.96 * np.sqrt(np.diagonal(found.covariance)))
     return np.mean(nees), np.mean(inside), unobserved

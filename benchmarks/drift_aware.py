@@ -82,14 +82,8 @@ DRIVES = {
 }
 
 
-def difference(solution, T_a_b):
-    """Return (6,) the step from the answer to the truth, as the covariance counts it."""
-    return np.concatenate([T_a_b[:3, 3] - solution.T_a_b[:3, 3],
-                           se3.log_so3(T_a_b[:3, :3] @ solution.T_a_b[:3, :3].T)])
-
-
 def normalised_square(solution, T_a_b):
-    d = difference(solution, T_a_b)
+    d = se3.step_between(solution.T_a_b, T_a_b)
     return d @ np.linalg.solve(solution.covariance, d) / 6
 
 
@@ -163,7 +157,7 @@ def simulated_pairs(seeds):
         for seed in seeds:
             pairs, T_a_b = draw(seed)
             solution = solve_pairs(pairs, AUTO)
-            d = difference(solution, T_a_b)
+            d = se3.step_between(solution.T_a_b, T_a_b)
             errors.append([np.linalg.norm(d[:3]), np.rad2deg(np.linalg.norm(d[3:]))])
             squares.append(normalised_square(solution, T_a_b))
             inside.append(np.abs(d) < 1.96 * np.sqrt(np.diag(solution.covariance)))

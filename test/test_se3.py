@@ -75,6 +75,17 @@ def test_left_jacobian_is_the_derivative_of_exp():
         np.testing.assert_allclose(J @ se3.left_jacobian_so3_inverse(phi), np.eye(3), atol=1e-12)
 
 
+def test_a_step_is_along_and_about_the_axes_of_the_parent():
+    rng = np.random.default_rng(4)
+    start, step = se3.exp_se3(rng.normal(size=(7, 6))), rng.normal(size=(7, 6))
+    end = se3.moved(start, step)
+    np.testing.assert_allclose(end[:, :3, 3] - start[:, :3, 3], step[:, :3], atol=1e-14)
+    np.testing.assert_allclose(
+        end[:, :3, :3], se3.exp_so3(step[:, 3:]) @ start[:, :3, :3], atol=1e-14)
+    np.testing.assert_allclose(se3.step_between(start, end), step, atol=1e-13)
+    np.testing.assert_allclose(se3.moved(start[0], step[0]), end[0], atol=1e-14)
+
+
 def test_interpolation_is_the_constant_twist():
     rng = np.random.default_rng(1)
     start = se3.exp_se3(rng.normal(size=6))

@@ -141,8 +141,8 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
         motions = _plausible(T_a_b, thinned(select_motions(pairs, f'B{lag}'), _MOTIONS))
         shared, own = np.zeros((6, 6)), np.zeros((6, 6))
         for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):
-            shared += gram(of_a, of_b)
-            own += 0.5 * (gram(of_a, of_a) + gram(of_b, of_b))
+            shared += linear.gram(of_a, of_b)
+            own += 0.5 * (linear.gram(of_a, of_a) + linear.gram(of_b, of_b))
         found.append(split(
             0.5 * (shared + shared.T), own,
             _instruments(T_a_b, motions, poses_c, linear.frobenius), block_length(motions)))
@@ -168,12 +168,6 @@ def thinning(length: int, count: int) -> slice:
 def thinned(motions: MotionPairs, count: int) -> MotionPairs:
     """Return every n-th motion, at most ``count``."""
     return motions.picked(thinning(len(motions), count))
-
-
-def gram(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return ``sum left^T right`` of (M, 6, n) and (M, 6, m)."""
-    product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
-    return product
 
 
 def _instruments(

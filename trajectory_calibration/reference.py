@@ -75,7 +75,7 @@ class Known:
 
     def expected_error(self, T_a_b: FloatArray) -> float:
         """Return the root of the expected squared error of a (4, 4) answer, metres."""
-        step = self._step(T_a_b)
+        step = se3.step_between(self.T_a_b, T_a_b)
         return float(np.sqrt(np.sum((self.directions @ step)**2) + self.variance))
 
     def uncertainty_of(self, T_a_b: FloatArray, own: Uncertainty) -> Uncertainty:
@@ -83,13 +83,9 @@ class Known:
 
         ``own`` is what the equations of its solver say, for directions that those leave open.
         """
-        step = self._step(T_a_b)
+        step = se3.step_between(self.T_a_b, T_a_b)
         return replace(own, covariance=(
             self.covariance + np.outer(step, step) + own.unobserved.T @ own.unobserved))
-
-    def _step(self, T_a_b: FloatArray) -> FloatArray:
-        turn = se3.log_so3(T_a_b[:3, :3] @ self.T_a_b[:3, :3].T)
-        return np.concatenate([T_a_b[:3, 3] - self.T_a_b[:3, 3], turn])
 
 
 @dataclass(frozen=True)

@@ -199,6 +199,24 @@ def adjoint(poses: ArrayLike) -> FloatArray:
     return result
 
 
+def moved(poses: ArrayLike, steps: ArrayLike) -> FloatArray:
+    """Return (..., 4, 4) poses after (..., 6) steps: ``t + dt``, ``exp(dtheta) R``.
+
+    Along and about the fixed axes of the parent, as the covariance of an extrinsic counts them.
+    """
+    T = np.asarray(poses, dtype=np.float64)
+    step = np.asarray(steps, dtype=np.float64)
+    return from_rotation_translation(
+        exp_so3(step[..., 3:]) @ T[..., :3, :3], T[..., :3, 3] + step[..., :3])
+
+
+def step_between(start: ArrayLike, end: ArrayLike) -> FloatArray:
+    """Return the (..., 6) steps with which ``moved`` takes (..., 4, 4) poses to others."""
+    T_0, T_1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    turn = log_so3(T_1[..., :3, :3] @ np.swapaxes(T_0[..., :3, :3], -1, -2))
+    return np.concatenate([T_1[..., :3, 3] - T_0[..., :3, 3], turn], axis=-1)
+
+
 def interpolate(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
     """Return the (..., 4, 4) poses at ``fraction`` (...) of the geodesic from start to end.
 

@@ -32,7 +32,6 @@ from trajectory_calibration.errors import SolverError
 from trajectory_calibration.excitation import (
     block_length,
     CHUNK,
-    gram,
     opens_rotation,
     scaled_to_unknown,
     split,
@@ -125,8 +124,7 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     # The data prove a drift: judge the noise without it, and count as possible error what the
     # answer would change by if it were known.
     step = found.by_drift @ drift
-    moved = se3.from_rotation_translation(
-        se3.exp_so3(step[3:]) @ X[:3, :3], X[:3, 3] + step[:3])
+    moved = se3.moved(X, step)
     poses_c = _without_drift(
         moved @ motions.pairs.poses_b @ se3.inverse(moved), motions.pairs.poses_a, drift)
     noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
@@ -256,13 +254,13 @@ def _accumulate(
         Z = w * np.concatenate([found.instrument, drifted], axis=2)
         Zt = np.swapaxes(Z, 1, 2)
         each = (Zt @ found.residual[:, :, None])[:, :, 0]
-        bread += gram(Z, J)
+        bread += linear.gram(Z, J)
         score += each.sum(axis=0)
         scores[part] = each[:, :6]
         clean += 0.5 * np.einsum('kri,kr->i', Z_a + Z_b, found.residual)
-        cross += 0.5 * (gram(Z_a, of_b.jacobian) + gram(Z_b, of_a.jacobian))
-        shared += gram(Z_a, of_b.instrument)
-        own += 0.5 * (gram(Z_a, of_a.instrument) + gram(Z_b, of_b.instrument))
+        cross += 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
+        shared += linear.gram(Z_a, of_b.instrument)
+        own += 0.5 * (linear.gram(Z_a, of_a.instrument) + linear.gram(Z_b, of_b.instrument))
         moved = Zt @ found.disturbance @ to_body[j]
         # The current pose of a motion is no other's; its reference pose may be shared.
         by_pose[j] += moved

@@ -18,6 +18,12 @@ ROTATION, TRANSLATION = slice(0, 3), slice(3, 6)
 _IDENTITY = np.eye(3)
 
 
+def gram(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return (n, m) ``sum left^T right`` of (M, 6, n) and (M, 6, m), over the equations of all."""
+    product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
+    return product
+
+
 def frobenius(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
     """Return the equations of ``sum |A X - X B|^2``.
 

@@ -296,6 +296,4 @@ def polish(T_a_b: FloatArray, motions: MotionPairs, rows: slice = slice(0, 12),
         EJ = E @ J
         H += EJ.T @ EJ
         g += EJ.T @ (E @ v)
-    step = -np.linalg.solve(H, g)
-    return se3.from_rotation_translation(
-        se3.exp_so3(step[3:]) @ T_a_b[:3, :3], T_a_b[:3, 3] + step[:3])
+    return se3.moved(T_a_b, -np.linalg.solve(H, g))

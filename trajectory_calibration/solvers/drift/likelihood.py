@@ -40,6 +40,7 @@ from trajectory_calibration.solvers.drift.model import (
     TERM_COLUMNS,
 )
 from trajectory_calibration.solvers.drift.noise import COMPONENTS, Noise, WHITE
+from trajectory_calibration.solvers.linear import gram
 
 # Poses that are linearised at once: the blocks of one piece stay in the cache of a core.
 PIECE = 2048
@@ -231,7 +232,7 @@ class _Evaluator:
         """Solve for the global parameters, the bodies eliminated."""
         m = self.m
         system, border, response, corner = self.eliminate()
-        schur = corner - _inner(border, response)
+        schur = corner - gram(border, response)
         schur = 0.5 * (schur + schur.T)
         covariance, free, log_information = invert_information(schur[:m, :m], corner[:m, :m])
         gradient = schur[:m, m] - self.scale_power * self.is_scale / self.state.scale
@@ -313,7 +314,7 @@ class _Evaluator:
             local = np.clip(edges - first, 0, len(observed))
             for block, (start, end) in enumerate(pairwise(local)):
                 for part in (observed[start:end], walked[start:end]):
-                    grams[block] += _inner(part, part)
+                    grams[block] += gram(part, part)
         return grams
 
     def posterior(
@@ -391,19 +392,17 @@ class _Evaluator:
             poses = slice(first, first + len(piece.observation))
             product = piece.observation[:, :, :6].transpose(0, 2, 1) @ observed[poses]
             right[poses, :, :WHITE] += product
-            corner[:, :WHITE] += _inner(
-                piece.observation[:, :, 6:6 + m], observed[poses])
+            corner[:, :WHITE] += gram(piece.observation[:, :, 6:6 + m], observed[poses])
             steps = slice(first, first + len(piece.walk))
             product = piece.walk[:, :, :12].transpose(0, 2, 1) @ walked[steps]
             right[steps, :, WHITE:] += product[:, :6]
             right[first + 1:first + 1 + len(piece.walk), :, WHITE:] += product[:, 6:]
-            corner[:, WHITE:] += _inner(
-                piece.walk[:, :, 12:12 + m], walked[steps])
-        corner -= _inner(response, right)[:m]
+            corner[:, WHITE:] += gram(piece.walk[:, :, 12:12 + m], walked[steps])
+        corner -= gram(response, right)[:m]
         total = -system.quadratic_form(right) - corner.T @ covariance @ corner
-        total[:WHITE, :WHITE] += _inner(observed, self.white @ observed)
+        total[:WHITE, :WHITE] += gram(observed, self.white @ observed)
         variance = np.repeat(1 / self.walk_precision, 3, axis=1)[:, :, None]
-        total[WHITE:, WHITE:] += _inner(walked, variance * walked)
+        total[WHITE:, WHITE:] += gram(walked, variance * walked)
         # With G^T V^-1 (r + G g) = 0, V of the bodies eliminated: dg = cov G^T V^-1 R_i P y.
         return 0.25 * (total + total.T), covariance @ corner
 
@@ -453,9 +452,3 @@ def _halves(subscripts: str, left: FloatArray, right: FloatArray) -> FloatArray:
     """Sum products of two (N, 6, ...) as ``subscripts`` says, g translation or rotation."""
     apart = (values.reshape(len(values), 2, 3, *values.shape[2:]) for values in (left, right))
     return np.einsum(subscripts, *apart)
-
-
-def _inner(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the (m, n) products of the columns of (N, 6, m) with those of (N, 6, n)."""
-    product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
-    return product
