@@ -46,8 +46,8 @@ class MotionPairs:
     def __len__(self) -> int:
         return len(self.i)
 
-    def picked(self, keep: slice | NDArray[np.bool_]) -> MotionPairs:
-        """Return some of the motions."""
+    def picked(self, keep: slice | NDArray[np.bool_] | NDArray[np.intp]) -> MotionPairs:
+        """Return some of the motions: those of a slice, a (M,) mask, or (k,) indices."""
         return replace(self, i=self.i[keep], j=self.j[keep], A=self.A[keep], B=self.B[keep])
 
     def scaled(self, scale: float) -> MotionPairs:

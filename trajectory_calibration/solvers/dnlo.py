@@ -134,8 +134,7 @@ def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
     every = np.arange(len(motions))
     parts = np.array_split(every, min(_PARTS, len(motions) // 2))
     for part in (every, *parts):
-        some = MotionPairs(motions.reference, motions.i[part], motions.j[part],
-                           motions.A[part], motions.B[part], motions.pairs)
+        some = motions.picked(part)
         try:
             starts.append(solve_separable(some).T_a_b)
         except MotionError:

@@ -73,9 +73,7 @@ def leave_out_half_turns(
     if motions.reference == 'A':
         return motions, None, (
             f'{found}; they are kept, as published: use a reference B<n>, or solver dnl',)
-    used = MotionPairs(motions.reference, motions.i[kept], motions.j[kept],
-                       motions.A[kept], motions.B[kept], motions.pairs)
-    return used, kept, (f'{found}; they are left out',)
+    return motions.picked(kept), kept, (f'{found}; they are left out',)
 
 
 def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> FloatArray:
