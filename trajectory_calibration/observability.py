@@ -65,7 +65,8 @@ class Observability:
     ----------
     status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' where the
         value comes from what was known beforehand.
-    weak_axes : the directions behind it, largest standard deviation first.
+    weak_axes : the directions behind it: translations, then rotations, each with the largest
+        standard deviation first.
     excitation_deg : root mean square rotation of a motion about x, y, z of a, degrees.
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
