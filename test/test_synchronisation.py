@@ -6,7 +6,9 @@ from published import kitti, SEQUENCES, simulations
 import pytest
 
 from trajectory_calibration import se3, Trajectory
-from trajectory_calibration.synchronisation import find_clock_offset
+from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.simulation import flat, Noise, Scenario, simulate, Unicycle, with_noise
+from trajectory_calibration.synchronisation import find_clock_offset, synchronise
 
 SECOND = 1_000_000_000
 
@@ -84,13 +86,56 @@ def test_no_turning_tells_nothing():
     assert find_clock_offset(straight, straight, 5.0) is None
 
 
+def unrelated(seed):
+    rng = np.random.default_rng(seed)
+    return (sampled(smooth_body(rng), np.eye(4), 300, 10),
+            sampled(smooth_body(rng), np.eye(4), 300, 10, name='b'))
+
+
 def test_unrelated_turning_is_not_significant():
+    far = 0
     for seed in range(10):
-        rng = np.random.default_rng(seed)
-        a = sampled(smooth_body(rng), np.eye(4), 300, 10)
-        b = sampled(smooth_body(rng), np.eye(4), 300, 10)
-        found = find_clock_offset(a, b, 5.0)
-        assert found is None or found.correlation < 0.75
+        found = find_clock_offset(*unrelated(seed), 5.0)
+        if found is None:
+            continue
+        assert found.correlation < 0.75
+        assert not found.significant
+        far += abs(found.seconds) > 20 * found.std
+    # Nothing but the correlation tells these from offsets.
+    assert far > 0
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_unrelated_turning_is_no_offset_to_add(seed):
+    a, b = unrelated(seed)
+    assert synchronise(a, b, 0.25, 'auto', 5.0) == 0.25
+    with pytest.raises(AssociationError, match=r'within 5 s cannot be told: a and b did not turn'):
+        synchronise(a, b, 0.25, 'estimate', 5.0)
+
+
+@pytest.mark.parametrize(('mode', 'given', 'most', 'expected'), [
+    ('fixed', 0.5, 5.0, 0.5), ('estimate', 0.5, 0.0, 0.5), ('auto', 0.0, 5.0, 0.8),
+    ('auto', 0.5, 0.4, 0.8), ('estimate', 0.5, 0.4, 0.8), ('estimate', 2.0, 5.0, 0.8),
+    # Too far from what was given.
+    ('auto', 0.5, 0.2, 0.5),
+])
+def test_an_offset_is_what_was_given_and_what_was_found(mode, given, most, expected):
+    rng = np.random.default_rng(4)
+    pose = smooth_body(rng)
+    a = sampled(pose, np.eye(4), 60, 10)
+    b = sampled(pose, random_pose(rng), 60, 10, clock=0.8)
+    assert synchronise(a, b, given, mode, most) == pytest.approx(expected, abs=1e-3)
+
+
+def test_an_offset_without_any_noise_is_certain():
+    """What is left of the disagreement is rounding: on flat ground every other one is negative."""
+    flat_drive = with_noise(Scenario(20.0, Unicycle(ground=flat)), Noise(), Noise())
+    for seed in range(12):
+        run = simulate(flat_drive, seed)
+        found = find_clock_offset(run.a, shifted(run.b, 0.1), 5.0)
+        assert found.significant
+        assert found.std < 1e-3
+        assert found.seconds == pytest.approx(0.1, abs=1e-6)
 
 
 def test_too_short_for_an_offset():
