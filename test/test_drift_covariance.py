@@ -9,13 +9,13 @@ from test_drift_aware import AUTO, error_of, FIXED, simulated
 from trajectory_calibration import se3
 from trajectory_calibration.association import associate, PosePairs
 from trajectory_calibration.motions import select_motions
-from trajectory_calibration.simulation import SCENARIOS, simulate
+from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_noise
 from trajectory_calibration.solvers import quadratic
 from trajectory_calibration.solvers.drift import averaging, consistency, covariance
 from trajectory_calibration.solvers.drift.covariance import in_parent_axes
 from trajectory_calibration.solvers.drift.fit import columns_of
-from trajectory_calibration.solvers.drift.model import Chain, State
-from trajectory_calibration.solvers.drift.selection import estimate, PRIOR_SCALE
+from trajectory_calibration.solvers.drift.model import Chain, corrected_steps, State
+from trajectory_calibration.solvers.drift.selection import estimate, PRIOR_SCALE, RIVALS
 from trajectory_calibration.solvers.drift_aware import solve_pairs
 
 
@@ -130,6 +130,79 @@ def test_moments_are_those_of_the_prior_by_sampling():
     np.testing.assert_allclose(
         result / np.outer(deviation, deviation), expected / np.outer(deviation, deviation),
         atol=0.02)
+
+
+def test_rivals_share_the_prior_of_a_term_that_is_there():
+    """Against the sum over every hypothesis of one joint likelihood of scale and drift."""
+    rng = np.random.default_rng(1)
+    root = rng.normal(size=(10, 10))
+    information = 1e4 * root @ root.T
+    gradient = information @ (0.01 * rng.normal(size=10))
+
+    def given(columns, precision):
+        """Return log evidence and (6, 6) moments with this (n,) precision of a prior at zero."""
+        total = information[np.ix_(columns, columns)] + np.diag(precision)
+        spread = np.linalg.inv(total)
+        mean = spread @ gradient[columns]
+        prior = np.log(precision[6:]).sum()
+        return (0.5 * (gradient[columns] @ mean - np.linalg.slogdet(total)[1] + prior),
+                (spread + np.outer(mean, mean))[:6, :6])
+
+    expected = [(np.exp(averaging._LOG_PRIOR[0]), *given(np.arange(6), np.zeros(6)))]
+    weighed = []
+    for name in RIVALS:
+        columns = columns_of((name,))
+        for sigma in averaging._SIGMAS[1:]:
+            precision = np.zeros(len(columns))
+            precision[6:] = 1 / (PRIOR_SCALE[name] * sigma)**2
+            expected.append((0.5 * np.exp(averaging._LOG_PRIOR[1]), *given(columns, precision)))
+        spread = np.linalg.inv(information[np.ix_(columns, columns)])
+        weighed.append(averaging.weigh(
+            averaging.Gaussian(columns, spread @ gradient[columns], spread),
+            State.start(Chain.from_pairs(simulated(1)[0]), np.eye(4)), name, None))
+    prior, log_evidence, moments = (np.array(column) for column in zip(*expected, strict=True))
+    assert prior.sum() == pytest.approx(1)
+    weight = prior * np.exp(log_evidence - log_evidence.max())
+    np.testing.assert_allclose(
+        averaging.joined(*weighed).mean(), np.tensordot(weight / weight.sum(), moments, 1),
+        rtol=1e-9)
+
+
+def test_a_drift_along_the_motion_does_what_a_scale_does():
+    lengths = np.array([0.5, 2.0, 1.0])[:, None]
+    steps = lengths * [0.6, 0.0, -0.8]
+    corrected, _ = corrected_steps(
+        steps, lengths[:, None] * np.eye(3), 1.0, averaging.drift_for_scale(steps, 0.96))
+    np.testing.assert_allclose(corrected, 0.96 * steps, atol=1e-12)
+
+
+def test_a_drift_in_place_of_a_scale_is_judged_by_its_size(monkeypatch):
+    """About a state with a scale, as about the one in which the drift was fitted."""
+    noise = Noise(white=0.01, white_rotation=0.002, walk=0.005, walk_rotation=0.0005)
+    run = simulate(with_noise(replace(SCENARIOS['offroad'], duration=40.0),
+                              noise, replace(noise, scale=1.03)), 0)
+    pairs = associate(run.a, run.b)
+    seen = []
+    monkeypatch.setattr(
+        covariance, 'weigh', lambda *given: seen.append(averaging.weigh(*given)) or seen[-1])
+    for name in RIVALS:
+        covariance.extrinsic_covariance(estimate(pairs, {**FIXED, name: 'estimate'}), RIVALS)
+    # The scale comes first, then the drift that takes its place, then the drift itself.
+    _, instead, itself = (found.log_evidence[1:] - found.log_evidence[0] for found in seen)
+    assert itself.min() > 100
+    np.testing.assert_allclose(instead, itself, rtol=0.1)
+
+
+def test_the_axes_of_a_warning_are_those_of_a():
+    turn = se3.from_rotation_translation(se3.exp_so3([0.0, 0.0, np.pi / 2]), np.zeros(3))
+    variances = np.diag([1e-4, 1.0, 1.0, 1.0, 1.0, 1e-6])
+    along_x = consistency.LagCheck(5, np.array([0.1, 0, 0, 0, 0, 0]), variances, 60.0)
+    (warning,) = along_x.warnings(turn)
+    assert 'over 5 poses alone would move b by +0.1 m along y of a, 10.0 times' in warning
+    turn[:3, :3] = se3.exp_so3([0.0, np.pi / 2, 0.0])
+    about_z = consistency.LagCheck(2, np.array([0, 0, 0, 0, 0, -0.02]), variances, 60.0)
+    (warning,) = about_z.warnings(turn)
+    assert 'would turn b by -1.1 deg about x of a, 20.0 times' in warning
 
 
 @pytest.mark.parametrize('seed', [102, 106])
