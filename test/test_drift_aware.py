@@ -8,10 +8,10 @@ import numpy as np
 from published import kitti, SEQUENCES, simulations
 import pytest
 
-from trajectory_calibration import se3, Trajectory
+from trajectory_calibration import calibrate, se3, Trajectory
 from trajectory_calibration.association import associate, associate_nearest
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.errors import CalibrationError, MotionError, SolverError
 from trajectory_calibration.metrics import absolute_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.simulation import SCENARIOS, simulate
@@ -83,6 +83,11 @@ def error_of(solution, T_a_b):
     R = solution.T_a_b[:3, :3]
     return np.concatenate([T_a_b[:3, 3] - solution.T_a_b[:3, 3],
                            se3.log_so3(T_a_b[:3, :3] @ R.T)])
+
+
+def as_trajectories(pairs):
+    return (Trajectory(pairs.stamps_ns, pairs.poses_a, 'map_a', 'lidar'),
+            Trajectory(pairs.stamps_ns, pairs.poses_b, 'map_b', 'camera'))
 
 
 @pytest.mark.parametrize('irregular', [False, True])
@@ -167,6 +172,26 @@ def test_clock_offset_is_found_where_there_is_one():
     assert absolute_errors(solution.T_a_b, T_a_b).e_at < 0.01
 
 
+@pytest.mark.parametrize(('settings', 'e_rt'), [
+    # The clocks are told by the turning of both, before the solver.
+    ({}, 0.03),
+    # By the solver alone: motions of b are compared 30 ms late, then 20 ms.
+    ({'max_time_offset': 0.0}, 0.09),
+    # Here it finds what is left of both.
+    ({'max_time_offset': 0.0, 'time_offset': -0.01, 'time_offset_mode': 'estimate',
+      'scale': 0.97, 'scale_mode': 'estimate'}, 0.06),
+])
+def test_scale_and_clock_offset_reach_the_result(settings, e_rt):
+    run = simulate(replace(SCENARIOS['drone'], duration=30.0), 5)
+    late = replace(run.b.scaled(1.05), stamps_ns=run.b.stamps_ns + 30_000_000)
+    result = calibrate(run.a, late, CalibrationConfig(**settings))
+    assert result.scale == pytest.approx(1 / 1.05, abs=0.003)
+    assert result.time_offset_s == pytest.approx(-0.03, abs=0.002)
+    assert result.absolute_errors(run.T_a_b).e_at < 0.01
+    # In metres of a: with those of b it would be three times as large.
+    assert result.metrics.e_rt < e_rt
+
+
 def test_systematic_drift_is_found_where_there_is_one():
     drift = (0.0, 0.03, 0.0)
     pairs, T_a_b = simulated(9, white=(0.003, 0.002), drift=drift)
@@ -243,6 +268,38 @@ def test_a_sensor_that_does_not_turn_is_refused():
     poses[:, 0, 3] = times
     with pytest.raises(MotionError):
         solve_pairs(as_pairs(times, poses, poses), AUTO)
+
+
+@pytest.mark.parametrize('noise', [0.0, 1e-4])
+@pytest.mark.parametrize('lever', [0.0, 0.3])
+@pytest.mark.parametrize('solver', ['drift_aware', 'dnl', 'park'])
+def test_turning_without_moving_is_an_answer_or_a_named_error(solver, lever, noise):
+    rng = np.random.default_rng(0)
+    times = 0.1 * np.arange(300)
+    body = smooth_motion(rng, times, reach=0.0)
+    T_a_b = se3.from_rotation_translation(random_pose(rng)[:3, :3], [lever, 0.0, 0.0])
+    a, b = as_trajectories(as_pairs(
+        times, shaken(rng, body, 0.0, noise), shaken(rng, body @ T_a_b, 0.0, noise)))
+    try:
+        result = calibrate(a, b, CalibrationConfig(solver=solver))
+    except CalibrationError:
+        return
+    assert result.absolute_errors(T_a_b).e_aR < 1e-9 + noise
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+@pytest.mark.parametrize('solver', ['drift_aware', 'dnl', 'park'])
+def test_a_vehicle_that_stands_tells_no_rotation(solver, seed):
+    """Positions to 1 cm are no motion, however much better the rotations are, to 1e-5 rad."""
+    rng = np.random.default_rng(seed)
+    standing = (np.tile(random_pose(rng), (300, 1, 1)) for _ in 'ab')
+    a, b = as_trajectories(as_pairs(
+        0.1 * np.arange(300), *(shaken(rng, poses, 0.01, 1e-5) for poses in standing)))
+    try:
+        result = calibrate(a, b, CalibrationConfig(solver=solver))
+    except MotionError:
+        return
+    assert {'rotation x', 'rotation y', 'rotation z'} <= set(result.observability.unobserved)
 
 
 def test_thinned_first_then_all_poses():
