@@ -436,6 +436,38 @@ def test_claims_need_their_runs():
         groups_of(as_the_paper_says), 'simulated', ('drift_aware',))} == {OPEN}
 
 
+def claims_without(lost):
+    """Judge groups as the paper says, but for cells without an answer."""
+    groups = groups_of(as_the_paper_says)
+    for cell in filter(lost, groups):
+        groups[cell][:] = np.nan
+    return judge(groups, 'simulated', PAPER_SOLVERS)
+
+
+def test_a_solver_without_an_answer_has_no_part_in_a_claim():
+    claims = claims_without(lambda cell: cell.solver == 'ali')
+    assert [claim.verdict for claim in claims] == [HOLDS] * 7
+    assert all(claim.evidence.endswith('; without all of the answers: ali') for claim in claims)
+    assert claims[2].evidence.startswith('5 of 5 solvers')
+
+
+def test_a_solver_has_its_part_in_claims_whose_answers_it_has():
+    lost = {('ali', 'A', 'mixture'), ('park', 'B1', 'drift'), ('zhuang', 'B1', 'mixture')}
+    claims = claims_without(lambda cell: (cell.solver, cell.reference, cell.kind) in lost)
+    assert [claim.verdict for claim in claims] == [HOLDS] * 7
+    assert [claim.evidence.partition('answers: ')[2] for claim in claims] == [
+        '', 'ali, park, zhuang', '', 'zhuang', 'zhuang', 'ali, park, zhuang', '']
+    # Five solvers at six references, one of them at five.
+    assert 'over all 29 combinations' in claims[4].evidence
+
+
+def test_a_claim_without_solvers_is_not_judged():
+    claims = claims_without(lambda cell: cell.reference == 'A')
+    assert [k for k, claim in enumerate(claims) if claim.verdict == OPEN] == [1, 5]
+    # DNLO is compared with nobody.
+    assert claims_without(lambda cell: cell.solver != 'dnlo')[6].verdict == OPEN
+
+
 def test_differences_from_published_runs_are_counted():
     def record(reference, e_at):
         return Record('published', 'noise', 0.01, 2, 'dnl', reference, 0.1, 0.1, e_at, 1.0, 1.0)

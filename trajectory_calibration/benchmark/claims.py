@@ -1,13 +1,14 @@
 """The paper's conclusions, judged one by one on a set of runs.
 
 Every claim is judged on medians over the runs at the hardest level of a class, solver by solver:
-medians because a few failed runs rule a mean.
+medians because a few failed runs rule a mean. A solver without an answer that a claim compares has
+no part in it; a claim that is left without solvers is not judged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,7 +30,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class _Medians:
-    """Median errors of one source at the hardest levels."""
+    """Median errors of one source at the hardest levels; NaN where no run has an answer."""
 
     groups: Groups
     source: str
@@ -45,33 +46,75 @@ class _Medians:
                          for solver in self.solvers])
 
     def best_references(self, kind: str, error: int = E_AT) -> dict[str, str]:
-        """Return the reference of the lowest median of each solver."""
-        best = np.argmin(self.table(kind, error), axis=1)
+        """Return the reference of the lowest median of each solver, of those with an answer."""
+        best = np.nanargmin(self.table(kind, error), axis=1)
         return {solver: REFERENCES[k] for solver, k in zip(self.solvers, best, strict=True)}
+
+    def answering(self, claim: _Statement) -> _Medians:
+        """Return those of the solvers that have an answer wherever the claim needs one."""
+        return replace(self, solvers=tuple(
+            solver for solver in self.solvers
+            if all(self._answers(kind, solver, claim.references) for kind in claim.kinds)))
+
+    def _answers(self, kind: str, solver: str, references: Iterable[str]) -> bool:
+        found = {name for name in REFERENCES if np.isfinite(self(kind, solver, name))}
+        return bool(found) and found.issuperset(references)
+
+
+@dataclass(frozen=True)
+class _Statement:
+    """A conclusion of the paper and how to judge it.
+
+    Attributes
+    ----------
+    text : the conclusion.
+    kinds : classes of noise that it is about.
+    references : those that a solver must have an answer at: what is the best or the worst of
+        one is nothing. Any where none is named.
+    check : returns the verdict and the evidence.
+
+    """
+
+    text: str
+    kinds: tuple[str, ...]
+    references: tuple[str, ...]
+    check: Callable[[_Medians], tuple[str, str]]
 
 
 def judge(groups: Groups, source: str, solvers: Iterable[str]) -> list[Claim]:
     """Judge every claim on the runs of a source with those of the paper's solvers that ran."""
     medians = _Medians(
         groups, source, tuple(name for name in PAPER_SOLVERS if name in set(solvers)))
-    claims: tuple[tuple[str, Callable[[_Medians], tuple[str, str]]], ...] = (
-        ('Under white noise longer references are better', _longer_under_noise),
-        ('The first pose as the only reference (A) is the worst', _a_is_worst),
-        ('Under outliers B1 is best', lambda m: _is_best(m, 'outliers', 'B1')),
-        ('Under the mixture B5 is best', lambda m: _is_best(m, 'mixture', 'B5')),
-        ('Relative errors prefer B1 where absolute errors do not', _relative_prefer_b1),
-        ('The choice of the reference matters more than that of the algorithm',
-         _reference_matters_more),
-        ('DNLO is better under outliers, and elsewhere no worse than the others', _dnlo_wins),
-    )
-    found = []
-    for statement, check in claims:
-        if not medians.solvers or any(
-                np.isnan(medians.table(kind)).all() for kind in HARDEST):
-            found.append(Claim(statement, OPEN, 'conditions are missing'))
-        else:
-            found.append(Claim(statement, *check(medians)))
-    return found
+    every = tuple(HARDEST)
+    return [_judge(medians, claim) for claim in (
+        _Statement('Under white noise longer references are better',
+                   ('noise',), ('B1', 'B5', 'B10', 'C5', 'C10'), _longer_under_noise),
+        _Statement('The first pose as the only reference (A) is the worst',
+                   every, ('A', 'B1'), _a_is_worst),
+        _Statement('Under outliers B1 is best',
+                   ('outliers',), ('B1', 'B5'), lambda m: _is_best(m, 'outliers', 'B1')),
+        _Statement('Under the mixture B5 is best',
+                   ('mixture',), ('B1', 'B5'), lambda m: _is_best(m, 'mixture', 'B5')),
+        _Statement('Relative errors prefer B1 where absolute errors do not',
+                   ('mixture',), ('B1', 'B5'), _relative_prefer_b1),
+        _Statement('The choice of the reference matters more than that of the algorithm',
+                   every, REFERENCES, _reference_matters_more),
+        _Statement('DNLO is better under outliers, and elsewhere no worse than the others',
+                   every, (), _dnlo_wins),
+    )]
+
+
+def _judge(medians: _Medians, claim: _Statement) -> Claim:
+    if not medians.solvers or any(np.isnan(medians.table(kind)).all() for kind in HARDEST):
+        return Claim(claim.text, OPEN, 'conditions are missing')
+    answering = medians.answering(claim)
+    if not answering.solvers:
+        return Claim(claim.text, OPEN, 'no solver has all of the answers that it compares')
+    verdict, evidence = claim.check(answering)
+    left_out = [solver for solver in medians.solvers if solver not in answering.solvers]
+    if left_out:
+        evidence += f'; without all of the answers: {", ".join(left_out)}'
+    return Claim(claim.text, verdict, evidence)
 
 
 def _longer_under_noise(m: _Medians) -> tuple[str, str]:
@@ -89,7 +132,7 @@ def _a_is_worst(m: _Medians) -> tuple[str, str]:
               for kind in HARDEST}
     total = len(m.solvers)
     worst = sum(counts.values())
-    verdict = HOLDS if worst == 4 * total else FAILS if worst <= total else PARTLY
+    verdict = HOLDS if worst == len(HARDEST) * total else FAILS if worst <= total else PARTLY
     return verdict, 'worst of six for ' + ', '.join(
         f'{count} of {total} solvers under {kind}' for kind, count in counts.items())
 
@@ -108,7 +151,8 @@ def _is_best(m: _Medians, kind: str, reference: str) -> tuple[str, str]:
 def _relative_prefer_b1(m: _Medians) -> tuple[str, str]:
     relative, absolute = m.best_references('mixture', E_RT), m.best_references('mixture', E_AT)
     right = [s for s in m.solvers if relative[s] == 'B1' != absolute[s]]
-    x, y = (m.table('mixture', error).ravel() for error in (E_RT, E_AT))
+    x, y = (table[np.isfinite(table)] for table in (
+        m.table('mixture', error) for error in (E_RT, E_AT)))
     rank = float(np.corrcoef(np.argsort(np.argsort(x)), np.argsort(np.argsort(y)))[0, 1])
     return _verdict(right, m), (
         f'{_count(right, m)} under the mixture; the ranks of both errors over all '
@@ -134,7 +178,7 @@ def _dnlo_wins(m: _Medians) -> tuple[str, str]:
     k = m.solvers.index('dnlo')
     parts, wins = [], 0
     for kind in HARDEST:
-        best = np.min(m.table(kind), axis=1).tolist()
+        best = np.nanmin(m.table(kind), axis=1).tolist()
         other = min(best[:k] + best[k + 1:])
         # Two solvers that find the same minimum differ by rounding.
         wins += best[k] <= 1.001 * other
