@@ -28,7 +28,7 @@ from trajectory_calibration.benchmark.published import (
     simulation_quartiles,
     simulation_runs,
 )
-from trajectory_calibration.benchmark.repeat import BagRecord, scatter
+from trajectory_calibration.benchmark.repeat import BagRecord, BagTask, calibrate_bag, scatter
 from trajectory_calibration.benchmark.statistics import group, mean_interval, summarise
 from trajectory_calibration.benchmark.store import COLUMNS, ResultStore
 from trajectory_calibration.benchmark.tasks import (
@@ -42,6 +42,7 @@ from trajectory_calibration.benchmark.tasks import (
     simulated_tasks,
     Task,
 )
+from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import (
     ConfigError,
     MotionError,
@@ -49,8 +50,18 @@ from trajectory_calibration.errors import (
     SolverError,
     SourceError,
 )
-from trajectory_calibration.simulation import SCENARIOS, simulate
+from trajectory_calibration.simulation import (
+    flat,
+    Noise,
+    Scenario,
+    SCENARIOS,
+    simulate,
+    Unicycle,
+    with_noise,
+)
 from trajectory_calibration.simulation.files import write_bag
+from trajectory_calibration.sources import bags as bag_source
+from trajectory_calibration.sources.storage import find_bag
 
 pytest.importorskip('joblib', reason='joblib is not installed')
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
@@ -509,6 +520,35 @@ def test_bags_are_calibrated_each_by_itself(tmp_path, capsys):
         found = [float(row[name]) for name in ('x_m', 'y_m', 'z_m')]
         np.testing.assert_allclose(found, truth[:3, 3], atol=0.1)
     assert '4 of 5 bags' in err
+    assert {row['unobserved'] for row in rows} == {''}
+    assert 'not observed' not in err
+
+
+def test_a_direction_that_a_bag_leaves_open_is_named(tmp_path, capsys):
+    bags, _ = write_bags(tmp_path, 1)
+    flat_drive = with_noise(Scenario(20.0, Unicycle(ground=flat)),
+                            Noise(white=0.005), Noise(white=0.005))
+    for seed in range(2):
+        pair = simulate(flat_drive, seed)
+        bags.append(tmp_path / f'flat_{seed}')
+        write_bag(bags[-1], {'/a': pair.a, '/b': pair.b})
+    status, out, err = run(
+        capsys, 'benchmark', 'repeat', '/a', '/b', *bags, '--jobs', '1',
+        '--solver', 'dnl', '--reference', 'B10')
+    assert status == 0
+    rows = list(csv.DictReader(out.splitlines()))
+    assert [row['unobserved'] for row in rows] == ['', 'z', 'z']
+    assert not any(row['note'] for row in rows)
+    assert 'not observed: z in 2 of 3 bags; along what is not observed' in err
+
+
+def test_a_bag_is_opened_once_for_both_topics(tmp_path, monkeypatch):
+    (bag,), _ = write_bags(tmp_path, 1)
+    opened = []
+    monkeypatch.setattr(bag_source, 'find_bag', lambda path: opened.append(path) or find_bag(path))
+    record = calibrate_bag(BagTask(bag, '/a', '/b', CalibrationConfig(solver='park')))
+    assert not record.note
+    assert opened == [bag]
 
 
 def test_scatter_is_the_spread_about_the_mean():

@@ -5,6 +5,7 @@ How far the answers scatter is the accuracy that no single bag can tell.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,7 +34,8 @@ class BagRecord:
     """The answer of one bag. The fields are the columns of the results file.
 
     The pose of b in a: metres and a quaternion; NaN where there is no answer, and ``note`` then
-    says why.
+    says why. ``unobserved`` names the degrees of freedom that neither the motion nor a prior
+    determines, with commas between: the answer has numbers there that say nothing.
     """
 
     bag: str
@@ -47,6 +49,7 @@ class BagRecord:
     motions: int = 0
     e_rt_m: float = float('nan')
     e_rR_deg: float = float('nan')
+    unobserved: str = ''
     note: str = ''
 
     @property
@@ -77,9 +80,12 @@ class Scatter:
 def calibrate_bag(task: BagTask) -> BagRecord:
     """Calibrate one bag; a bag that gives no answer gives the reason."""
     # The bag library loads where a bag is read, and only there.
-    from trajectory_calibration.sources.bags import BagSource
+    from trajectory_calibration.sources.bags import open_bags
+    topics = task.topic_a, task.topic_b
     try:
-        a, b = (BagSource([task.bag], topic).load() for topic in (task.topic_a, task.topic_b))
+        with open_bags([task.bag]) as reader:
+            tracks = reader.read(topics)
+        a, b = (tracks[topic].to_trajectory() for topic in topics)
         result = calibrate(a, b, task.config)
     except CalibrationError as error:
         return BagRecord(str(task.bag), note=' '.join(str(error).split()))
@@ -87,7 +93,7 @@ def calibrate_bag(task: BagTask) -> BagRecord:
     qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3]).tolist()
     return BagRecord(
         str(task.bag), x, y, z, qx, qy, qz, qw, result.motions, result.metrics.e_rt,
-        float(np.rad2deg(result.metrics.e_rR)))
+        float(np.rad2deg(result.metrics.e_rR)), ', '.join(result.observability.unobserved))
 
 
 def scatter(records: Sequence[BagRecord]) -> Scatter:
@@ -109,3 +115,14 @@ def scatter(records: Sequence[BagRecord]) -> Scatter:
     return Scatter(
         se3.from_rotation_translation(R, found[:, :3, 3].mean(axis=0)),
         found[:, :3, 3].std(axis=0, ddof=1), np.rad2deg(turned.std(axis=0, ddof=1)))
+
+
+def describe_open(records: Sequence[BagRecord]) -> str:
+    """Say which degrees of freedom how many of the answers leave open; empty where none does."""
+    answers = [record.unobserved.split(', ') for record in records if not record.note]
+    counts = Counter(name for names in answers for name in names if name)
+    if not counts:
+        return ''
+    found = ', '.join(f'{name} in {count}' for name, count in counts.items())
+    return (f'not observed: {found} of {len(answers)} bags; along what is not observed the '
+            'scatter is no accuracy: leave these bags out, or give a prior')

@@ -103,7 +103,13 @@ def run_paper(arguments: argparse.Namespace) -> int:
 
 def run_repeat(arguments: argparse.Namespace) -> int:
     """Calibrate the bags, print their answers, and say how these scatter."""
-    from trajectory_calibration.benchmark.repeat import BagRecord, BagTask, calibrate_bag, scatter
+    from trajectory_calibration.benchmark.repeat import (
+        BagRecord,
+        BagTask,
+        calibrate_bag,
+        describe_open,
+        scatter,
+    )
     config = config_from_arguments(arguments)
     tasks = [BagTask(bag, arguments.a, arguments.b, config) for bag in arguments.bags]
     writer = csv.writer(sys.stdout, lineterminator='\n')
@@ -120,6 +126,8 @@ def run_repeat(arguments: argparse.Namespace) -> int:
           f'({x:.4f}, {y:.4f}, {z:.4f}) m; standard deviations along x, y, z of a '
           f'({", ".join(f"{value:.4f}" for value in found.std_m)}) m and about them '
           f'({", ".join(f"{value:.3f}" for value in found.std_deg)}) deg', file=sys.stderr)
+    if unobserved := describe_open(records):
+        print(unobserved, file=sys.stderr)
     return 0
 
 
