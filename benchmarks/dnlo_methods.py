@@ -13,34 +13,16 @@ import time
 
 import numpy as np
 
-from trajectory_calibration import CalibrationConfig, Trajectory
+from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.association import associate_by_interpolation
+from trajectory_calibration.benchmark.kitti import paper_pairs, PUBLISHED_C, STATED_C
+from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES, simulation_runs
 from trajectory_calibration.metrics import absolute_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.sources.files import FileSource, read_transform
 
 METHODS = ('ipopt', 'path', 'alternating', 'auto')
 REFERENCES = ('B1', 'B5', 'B10', 'C5', 'C10')
-
-
-def load(path):
-    """Return the trajectory of a TUM file."""
-    return FileSource(path, 'tum').load()
-
-
-def drives(data):
-    """Yield name, trajectory a, trajectory b, truth of both KITTI drives."""
-    folder = data / 'kitti' / '2011_09_30_drive_0027'
-    b = load(folder / 'cam01' / 'KeyFrameTrajectory_TUM_Format.txt')
-    yield ('2011_09_30', load(folder / 'LIDAR_HDL64E' / 'traj_HDL_aft_opt.csv'),
-           # The paper leaves out the first keyframe, which precedes the first scan.
-           Trajectory(b.stamps_ns[1:], b.poses[1:]),
-           read_transform(folder / 'camera_gray_left_in_velo_link.txt'))
-    folder = data / 'kitti' / '2011_10_03_drive_0027'
-    yield ('2011_10_03', *(load(folder / name / 'KeyFrameTrajectory_TUM_Format.txt')
-                           for name in ('cam01', 'cam23')),
-           read_transform(folder / 'camera_color_left_in_camera_gray_left.txt'))
 
 
 def solve(motions, truth, c):
@@ -61,11 +43,12 @@ def print_drives(data):
     """Print cost, errors and time of every method on the KITTI drives."""
     print('| drive | reference | ' + ' | '.join(METHODS) + ' |')
     print('|---|---|' + '---|' * len(METHODS))
-    for name, a, b, truth in drives(data):
-        pairs = associate_by_interpolation(a, b, max_gap_ns=None, extrapolate=True)
+    for sequence in SEQUENCES:
+        drive = read_kitti(data, sequence)
+        pairs = paper_pairs(drive)
         for reference in REFERENCES:
-            found = solve(select_motions(pairs, reference), truth, 1e-4)
-            print(f'| {name} | {reference} | ' + ' | '.join(
+            found = solve(select_motions(pairs, reference), drive.T_a_b_file, PUBLISHED_C)
+            print(f'| {sequence[:10]} | {reference} | ' + ' | '.join(
                 f'{cost:.5g}; {e_at:.3f} m {e_aR:.3f}°; {ms:.0f} ms'
                 for cost, e_at, e_aR, ms in found.values()) + ' |', flush=True)
 
@@ -73,17 +56,16 @@ def print_drives(data):
 def print_simulations(data):
     """Print how often each method's cost is lower than Ipopt's, and the errors' mean ratio."""
     errors, costs = defaultdict(list), defaultdict(list)
-    for path in sorted((data / 'simulation').rglob('T_S2_S1.txt')):
-        run, condition = path.parent, path.parent.parent.name
-        pairs = associate_by_interpolation(
-            load(run / 'T_S1_W1.txt'), load(run / 'T_S2_W2.txt'), max_gap_ns=None)
+    for run in simulation_runs(data):
+        a, b, truth = run.load()
+        pairs = associate_by_interpolation(a, b, max_gap_ns=None)
         for reference in REFERENCES:
-            found = solve(select_motions(pairs, reference), read_transform(path), 0.01)
+            found = solve(select_motions(pairs, reference), truth, STATED_C)
             for method, (cost, e_at, e_aR, _) in found.items():
-                errors[condition, reference, method].append((e_at, e_aR))
+                errors[run.kind, run.level, reference, method].append((e_at, e_aR))
                 costs[method].append(cost)
     cost = {method: np.array(values) for method, values in costs.items()}
-    conditions = sorted({key[:2] for key in errors})
+    conditions = sorted({key[:-1] for key in errors})
     median = {key: np.median(values, axis=0) for key, values in errors.items()}
     # Where the error is zero but for rounding, a ratio says nothing.
     told = [key for key in conditions if (median[(*key, 'ipopt')] > 1e-6).all()]

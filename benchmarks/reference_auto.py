@@ -17,12 +17,12 @@ import numpy as np
 from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.association import associate, associate_nearest
 from trajectory_calibration.benchmark.published import simulation_runs
+from trajectory_calibration.benchmark.tasks import HARDEST
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import load_solver
 
-HARDEST = {'noise': 0.01, 'outliers': 10, 'drift': 0.05, 'mixture': 0.0}
 FIXED = ('A', 'B1', 'B2', 'B3', 'B5', 'B8', 'B10', 'B15', 'B20', 'C5', 'C10')
 FIRST_SEED = 20_000
 

@@ -17,9 +17,10 @@ import numpy as np
 from trajectory_calibration import CalibrationConfig, se3, Trajectory
 from trajectory_calibration.association import associate_by_interpolation
 from trajectory_calibration.benchmark.environment import describe_machine, describe_versions
+from trajectory_calibration.benchmark.kitti import paper_pairs
+from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.sources.files import FileSource
 
 SOLVERS = {
     'park': {}, 'taylor': {}, 'zhuang': {}, 'ali': {}, 'dnl': {}, 'dnlo': {},
@@ -33,11 +34,7 @@ REPEATS = 10
 
 def published_drive(data):
     """Return the motions of 2011_10_03 at B5, poses of a interpolated everywhere."""
-    folder = data / 'kitti' / '2011_10_03_drive_0027'
-    a, b = (FileSource(folder / name / 'KeyFrameTrajectory_TUM_Format.txt', 'tum').load()
-            for name in ('cam01', 'cam23'))
-    return select_motions(
-        associate_by_interpolation(a, b, max_gap_ns=None, extrapolate=True), 'B5')
+    return select_motions(paper_pairs(read_kitti(data, SEQUENCES[1])), 'B5')
 
 
 def simulated_drive(poses):
