@@ -60,8 +60,8 @@ class Prior:
 
     def deviation(self, T_a_b: FloatArray) -> FloatArray:
         """Return (6,) the step from an extrinsic to the prior."""
-        turn = se3.log_so3(self.rotation @ T_a_b[:3, :3].T)
-        return np.concatenate([self.translation - T_a_b[:3, 3], turn])
+        return se3.step_between(
+            T_a_b, se3.from_rotation_translation(self.rotation, self.translation))
 
     def translation_std_along(self, axis: FloatArray) -> float:
         """Return how well, in metres, a shift along a (3,) unit vector in a is known."""
@@ -118,7 +118,7 @@ def apply_prior(
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     step = np.zeros(6)
     for _ in range(_MAX_UPDATES):
-        deviation = prior.deviation(_moved(T_a_b, step))
+        deviation = prior.deviation(se3.moved(T_a_b, step))
         observe = _observation(deviation, step)[known]
         # In units of what is unknown, the prior before the motion: a component that is fixed
         # beside a direction that is open has 1e13 times its weight.
@@ -136,7 +136,7 @@ def apply_prior(
             f'{_LARGEST_TURN_DEG:.0f}; check prior_rotation (roll, pitch, yaw of b in a, '
             'degrees), or drive so that the motion shows the rotation, about two axes')
     half = np.linalg.solve(triangle.T, root.T)
-    return _moved(T_a_b, step), half.T @ half
+    return se3.moved(T_a_b, step), half.T @ half
 
 
 def contradictions(
@@ -167,11 +167,6 @@ def _observation(deviation: FloatArray, step: FloatArray) -> FloatArray:
     result[3:, 3:] = (se3.left_jacobian_so3_inverse(deviation[3:]).T
                       @ se3.left_jacobian_so3(step[3:]))
     return result
-
-
-def _moved(T_a_b: FloatArray, step: FloatArray) -> FloatArray:
-    return se3.from_rotation_translation(
-        se3.exp_so3(step[3:]) @ T_a_b[:3, :3], T_a_b[:3, 3] + step[:3])
 
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
