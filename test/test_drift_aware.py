@@ -174,12 +174,12 @@ def test_clock_offset_is_found_where_there_is_one():
 
 @pytest.mark.parametrize(('settings', 'e_rt'), [
     # The clocks are told by the turning of both, before the solver.
-    ({}, 0.03),
-    # By the solver alone: motions of b are compared 30 ms late, then 20 ms.
-    ({'max_time_offset': 0.0}, 0.09),
-    # Here it finds what is left of both.
-    ({'max_time_offset': 0.0, 'time_offset': -0.01, 'time_offset_mode': 'estimate',
-      'scale': 0.97, 'scale_mode': 'estimate'}, 0.06),
+    ({}, 0.05),
+    # It does not look that far: the solver finds the offset, for motions that are 30 ms apart.
+    ({'max_time_offset': 0.02}, 0.2),
+    # Both find what is left of what was given.
+    ({'time_offset': -0.02, 'time_offset_mode': 'estimate', 'scale': 0.97,
+      'scale_mode': 'estimate'}, 0.05),
 ])
 def test_scale_and_clock_offset_reach_the_result(settings, e_rt):
     run = simulate(replace(SCENARIOS['drone'], duration=30.0), 5)
@@ -188,7 +188,7 @@ def test_scale_and_clock_offset_reach_the_result(settings, e_rt):
     assert result.scale == pytest.approx(1 / 1.05, abs=0.003)
     assert result.time_offset_s == pytest.approx(-0.03, abs=0.002)
     assert result.absolute_errors(run.T_a_b).e_at < 0.01
-    # In metres of a: with those of b it would be three times as large.
+    # In metres of a: b's are longer.
     assert result.metrics.e_rt < e_rt
 
 

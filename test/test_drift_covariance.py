@@ -205,7 +205,7 @@ def test_the_axes_of_a_warning_are_those_of_a():
     assert 'would turn b by -1.1 deg about x of a, 20.0 times' in warning
 
 
-@pytest.mark.parametrize('seed', [102, 106])
+@pytest.mark.parametrize('seed', [105, 106])
 def test_a_drift_that_was_not_proven_counts(seed):
     # On flat ground b drifts by half a percent, which the data hint at without a proof.
     run = simulate(SCENARIOS['road'], seed)
