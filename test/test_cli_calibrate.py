@@ -257,6 +257,8 @@ def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
     ('max_gap: [1]', 'needed a value of type float'),
     ('- 1', 'holds no settings; needed lines such as'),
     ('a: [', 'cannot be read as settings'),
+    ('a: 2023-13-45', 'cannot be read as settings: ValueError'),
+    ('[' * 5000, 'cannot be read as settings: RecursionError'),
 ])
 def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     settings = tmp_path / 'settings.yaml'

@@ -15,7 +15,7 @@ NAME = PACKAGE.name
 # names; the solvers stand after it.
 FLOW = (
     ('errors', 'version'),
-    ('se3', 'writing'),
+    ('se3', 'reading', 'writing'),
     ('trajectory',),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),

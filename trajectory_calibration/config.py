@@ -16,6 +16,9 @@ from trajectory_calibration.motions import AUTOMATIC, parse_reference, REFERENCE
 from trajectory_calibration.priors import parse_prior, Prior
 from trajectory_calibration.solvers import SOLVER_NAMES
 
+# More than a float holds, and than Python writes.
+_MOST_BITS = 1000
+
 
 @dataclass(frozen=True)
 class Option:
@@ -46,6 +49,8 @@ class Option:
         Numbers of NumPy, which registers its types as these, become Python's own. A number for
         a text is its text: YAML and ROS make one of what a person types as '0.01'.
         """
+        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+            raise ConfigError(f'{self.name} is an integer of too many digits')
         number = {float: Real, int: Integral}.get(self.kind)
         if number is not None and isinstance(value, number) and not isinstance(value, bool):
             value = self._convert(value)

@@ -99,6 +99,7 @@ class Observability:
             'excitation_deg': list(self.excitation_deg),
             'translation_gain': list(self.translation_gain),
             'translation_axes': [list(axis) for axis in self.translation_axes],
+            'warnings': list(self.warnings),
         }
 
     @classmethod
@@ -111,7 +112,9 @@ class Observability:
                   for item in data['weak_axes']),
             tuple(map(float, data['excitation_deg'])),
             tuple(map(float, data['translation_gain'])),
-            tuple(tuple(map(float, axis)) for axis in data['translation_axes']))
+            tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
+            # Older files hold these among the warnings of the result only.
+            tuple(map(str, data.get('warnings', ()))))
 
 
 def observe(
