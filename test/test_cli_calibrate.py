@@ -153,6 +153,32 @@ def test_output_that_cannot_be_written(files, capsys):
     assert err == f'error: {a}/below cannot be written: Not a directory; give another --output\n'
 
 
+@pytest.mark.parametrize('taken, written', [
+    ('result.yaml', ['result.yaml']), ('T_a_b.txt', ['T_a_b.txt', 'result.yaml'])])
+def test_a_result_that_cannot_be_written_leaves_no_newer_transform(
+        files, tmp_path, capsys, taken, written):
+    a, b, _ = files
+    folder = tmp_path / 'out'
+    (folder / taken / 'below').mkdir(parents=True)
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', folder)
+    assert (status, out) == (1, '')
+    assert err == (
+        f'error: {folder}/{taken} cannot be written: Is a directory; give another --output\n')
+    assert sorted(item.name for item in folder.iterdir()) == written
+
+
+def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
+    a, b, _ = write_pair(tmp_path, planar=True)
+    status, _, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--solver', 'ali',
+                       '--allow-unobserved', '--output', tmp_path)
+    assert status == 0
+    lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
+    assert lines[1] == '# not observed: z'
+    np.testing.assert_allclose(
+        read_transform(tmp_path / 'T_a_b.txt'),
+        CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)
+
+
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
 def test_topics_of_a_bag(files, tmp_path, capsys, storage):
     bag = write_pair_bag(tmp_path / f'bag{".bag" * (storage == "ros1")}', storage)

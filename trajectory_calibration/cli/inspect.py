@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-import sys
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.report.inspection import inspect_trajectory
 from trajectory_calibration.report.text import format_inspection
@@ -44,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
         print('\n'.join(format_inspection(item) for item in inputs), end='')
     if errors:
         # What was found comes first, also where both go to one terminal.
-        sys.stdout.flush()
+        print(end='', flush=True)
         raise SourceError('; '.join(map(str, errors)))
     return 0
 
@@ -60,7 +59,8 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
 
 
 def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
-    trajectory = FileSource(path, file_format, times, path.name).load()
+    with running_clock('reading'):
+        trajectory = FileSource(path, file_format, times, path.name).load()
     # No format of files names its frames.
     found = {**inspect_trajectory(trajectory, str(path), 'file').to_dict(),
              'sensor_frame': None, 'world_frame': None}

@@ -11,7 +11,7 @@ from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from trajectory_calibration.errors import SourceError, TopicError
+from trajectory_calibration.errors import pip_name, SourceError, TopicError
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 from trajectory_calibration.trajectory import Trajectory
 
@@ -31,10 +31,9 @@ try:
     from trajectory_calibration.sources.topics import join_tracks, TopicCollector, TopicTrack
 except ModuleNotFoundError as error:
     # A machine with ROS from apt has no rosbags, and needs it for nothing else.
-    package = str(error.name).partition('.')[0]
     raise SourceError(
-        f'bags need the Python package {package}, which is not installed; install it with: '
-        'pip install rosbags') from error
+        f'bags need the Python package {pip_name(error)}, which is not installed; install it '
+        'with: pip install rosbags') from error
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
