@@ -1,16 +1,19 @@
 """``trajectory_calibration calibrate``: answers, formats, files, and wrong input of every kind."""
 
+from dataclasses import replace
 import json
+from pathlib import Path
 
 from cli_helpers import run, write_pair, write_pair_bag, X
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from trajectory_calibration import CalibrationConfig, CalibrationResult, se3
+from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult, se3
 from trajectory_calibration.cli.options import join_negative_values
-from trajectory_calibration.report.text import format_result, roll_pitch_yaw_deg
-from trajectory_calibration.sources.files import read_transform
+from trajectory_calibration.report.text import deviation_words, format_result, roll_pitch_yaw_deg
+from trajectory_calibration.ros.answer import describe
+from trajectory_calibration.sources.files import FileSource, read_transform
 
 SOLVER = ('--solver', 'taylor', '--reference', 'B5')
 
@@ -81,6 +84,24 @@ def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
     assert '  1 sigma about   x 0.200  y 0.200  z 0.200 deg\n' in text
     assert '1.02000 on the translations of sensor_b' in text
     assert '0.1000 s on sensor_b' in text
+
+
+@pytest.mark.parametrize('sigma, words', [
+    ([0.01, 4.9, 5.0, 0.01, 1.5, np.pi / 2],
+     ['0.0100', '4.9000', 'unknown', '0.573', '85.944', 'unknown']),
+    ([10.0013, 11690.4, np.nan, 583.8, np.pi, np.nan], ['unknown'] * 6)])
+def test_a_deviation_that_means_nothing_is_known_is_no_number(files, sigma, words):
+    covariance = np.diag(np.square(sigma))
+    assert deviation_words(covariance) == words
+    a, b = (FileSource(name).load() for name in map(Path, files[:2]))
+    result = replace(calibrate(a, b, CalibrationConfig(solver='taylor', reference='B5')),
+                     covariance=covariance)
+    x, y, z, about_x, about_y, about_z = words
+    text = format_result(result)
+    assert f'  1 sigma along   x {x}  y {y}  z {z} m\n' in text
+    assert f'  1 sigma about   x {about_x}  y {about_y}  z {about_z} deg\n' in text
+    assert (f'[{x}, {y}, {z}] m, about xyz [{about_x}, {about_y}, {about_z}] deg'
+            in describe(result))
 
 
 def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):

@@ -31,6 +31,8 @@ def result():
 def test_every_option_has_a_sentence_and_a_default_in_range():
     for option in CalibrationConfig.options():
         assert len(option.help) > 10, option.name
+        # The node shows each on its own.
+        assert not option.help.startswith(('the same', 'its ')), option.name
         assert option.check(option.default) == option.default
 
 

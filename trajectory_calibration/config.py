@@ -112,14 +112,15 @@ class CalibrationConfig:
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
-        'auto', f'{_MODES}, unless time_offset is given', choices=MODES)
+        'auto', f'{_MODES}, unless time_offset is other than 0', choices=MODES)
     max_time_offset: float = _option(
         5.0, 'largest clock offset that is looked for around time_offset, seconds',
         minimum=0.0, maximum=3600.0)
     scale: float = _option(
         1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
     scale_mode: str = _option(
-        'auto', f'{_MODES}, unless scale is given; only drift_aware finds it', choices=MODES)
+        'auto', f'{_MODES}, unless scale is other than 1; only drift_aware finds it',
+        choices=MODES)
     systematic_drift_mode: str = _option(
         'auto', 'constant drift of b per metre along its axes; only drift_aware finds it: '
         f'{_MODES}', choices=MODES)
@@ -135,25 +136,29 @@ class CalibrationConfig:
     prior_translation: str = _option(
         '', 'known position of b in a, metres: x,y,z with - for an unknown one; empty: none')
     prior_translation_std: str = _option(
-        '', 'its standard deviations, metres: one number, or x,y,z; 0 fixes a component')
+        '', 'standard deviations of prior_translation, metres: one number, or x,y,z; 0 fixes a '
+        'component')
     prior_rotation: str = _option(
         '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
     prior_rotation_std: str = _option(
-        '', 'its standard deviations about x,y,z of a, degrees: one number, or three with - for '
-        'an unknown one; 0 fixes')
+        '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
+        'three with - for an unknown one; 0 fixes')
     allow_unobserved: bool = _option(
-        default=False, text='answer also where the motion leaves a direction open; that direction '
-        'is then zero or the prior, and marked unobserved')
+        default=False, text='answer also where the motion determines nothing or leaves a '
+        'direction exactly open, which is then zero or the prior, and let the node publish directions that '
+        'are not observed; those are marked with and without it')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
         'metres', minimum=0.0, maximum=1e3)
     weak_rotation: float = _option(
-        0.5, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+        0.5, 'standard deviation above which a direction of the rotation is called weak, degrees',
+        minimum=0.0, maximum=180.0)
     unobserved_translation: float = _option(
         0.5, 'standard deviation above which a direction of the translation is called '
         'unobserved, metres', minimum=0.0, maximum=1e3)
     unobserved_rotation: float = _option(
-        5.0, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+        5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
+        'degrees', minimum=0.0, maximum=180.0)
 
     def __post_init__(self) -> None:
         for option in self.options():

@@ -34,6 +34,9 @@ _SINGLE = 0.5
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
 
+# No two sensors of one vehicle are farther apart, metres: what is known no better is unknown.
+_APART = 10.0
+
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
 
@@ -168,8 +171,8 @@ def require_observed(observability: Observability) -> None:
         return
     raise MotionError(
         'the motion determines nothing of the extrinsic: in no direction is it known better than '
-        f'to {best["translation"]:.2g} m or {min(best["rotation"], 180.0):.2g} deg; drive curves, '
-        'and a ramp or a bank (allow_unobserved shows the answer)')
+        f'to {min(best["translation"], _APART):.2g} m or {min(best["rotation"], 180.0):.3g} deg; '
+        'drive curves, and a ramp or a bank (allow_unobserved shows the answer)')
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
