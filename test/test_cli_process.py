@@ -173,11 +173,24 @@ def test_wrong_usage(capsys, arguments):
 
 
 @pytest.mark.parametrize('arguments', [
-    ['--help'], ['calibrate', '--help'], ['inspect', '--help']])
-def test_help(capsys, arguments):
-    status, out, err = run(capsys, *arguments)
+    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['benchmark'],
+    ['benchmark', 'paper'], ['benchmark', 'repeat']])
+def test_help_fits_a_terminal(monkeypatch, capsys, arguments):
+    monkeypatch.setenv('COLUMNS', '80')
+    status, out, err = run(capsys, *arguments, '--help')
     assert (status, err) == (0, '')
     assert out.startswith('usage: trajectory_calibration')
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['benchmark'],
+    ['benchmark', 'repeat'], ['benchmark', 'paper', '--jobs', 'x']])
+def test_wrong_usage_is_two_lines(monkeypatch, capsys, arguments):
+    monkeypatch.setenv('COLUMNS', '80')
+    status, out, err = run(capsys, *arguments)
+    assert (status, out, err.count('\n')) == (2, '', 2)
+    assert err.startswith('usage: trajectory_calibration')
 
 
 def test_version(capsys):

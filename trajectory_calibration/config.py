@@ -145,8 +145,8 @@ class CalibrationConfig:
         'three with - for an unknown one; 0 fixes')
     allow_unobserved: bool = _option(
         default=False, text='answer also where the motion determines nothing or leaves a '
-        'direction exactly open, which is then zero or the prior, and let the node publish directions that '
-        'are not observed; those are marked with and without it')
+        'direction exactly open, which is then zero or the prior, and let the node publish '
+        'directions that are not observed; those are marked with and without it')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
         'metres', minimum=0.0, maximum=1e3)

@@ -25,6 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'calibrate', help='find the extrinsic of two trajectories',
+        usage='%(prog)s [options] A B',
         description='Find the pose of sensor b in sensor a from two trajectories.')
     parser.add_argument('a', metavar='A', help='file of sensor a, the parent; a topic with --bag')
     parser.add_argument('b', metavar='B', help='file of sensor b, the child; a topic with --bag')

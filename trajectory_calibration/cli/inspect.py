@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -21,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'inspect', help='show what is in a bag or a file, and whether its motion suffices',
+        usage='%(prog)s [options] PATH [PATH ...]',
         description='Show the trajectories in bags and files: counts, rates, gaps, frames, and '
                     'whether their motion can determine an extrinsic.')
     parser.add_argument('paths', metavar='PATH', nargs='+', type=Path, help='bag or file')
@@ -81,7 +83,10 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
         others = [channel._asdict() for channel in reader.channels
                   if channel.topic not in serving]
         notes = reader.notes
-    found = [_inspect_topic(track) for track in tracks.values()]
+    # The notes stand above all topics, so not once more with one of them.
+    found = [_inspect_topic(replace(track, warnings=tuple(
+        warning for warning in track.warnings if warning not in notes)))
+        for track in tracks.values()]
     return {'path': str(path), 'notes': notes,
             'trajectories': [item for item in found if 'error' not in item],
             'other': [item for item in found if 'error' in item] + others}

@@ -20,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'replay', help="give a bag to the node's buffers and calibrate as the node would",
+        usage='%(prog)s [options] BAG [BAG ...]',
         description="Feed a bag to the node's buffers at full speed and print the answer that "
         'the node gives after it received the same messages.')
     parser.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import fields, replace
 from pathlib import Path
+import shlex
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import running_clock
@@ -21,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'simulate', help='make two trajectories with a known extrinsic',
+        usage='%(prog)s [options] --output DIR',
         description='Simulate two sensors on one base, and what their SLAM makes of the motion. '
         'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
     parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
@@ -122,15 +124,16 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
         raise SourceError(f'{folder} cannot be made: {error.strerror or error}') from error
     truth = folder / 'truth.tum'
     if arguments.format == 'tum':
-        inputs = f'{folder / "a.tum"} {folder / "b.tum"}'
+        inputs: list[Path | str] = [folder / 'a.tum', folder / 'b.tum']
         write_tum(folder / 'a.tum', pair.a)
         write_tum(folder / 'b.tum', pair.b)
     else:
         bag = folder / 'bag'
-        inputs = f'--bag {bag} {" ".join(TOPICS)}'
+        inputs = ['--bag', bag, *TOPICS]
         write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
                   message=arguments.message, storage=arguments.format)
     write_transform(truth, pair.T_a_b)
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
-    clocks = f' --time-offset {offset:.12g}' if offset else ''
-    return f'trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}'
+    clocks = ['--time-offset', f'{offset:.12g}'] if offset else []
+    return shlex.join(map(str, [
+        'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', truth, *clocks]))

@@ -93,7 +93,9 @@ def write_bag(
                 data = typestore.serialize_cdr(build(trajectories[topic], k), name)
                 writer.write(connections[topic], stamp, data)
     except (OSError, WriterError) as error:
-        raise SourceError(f'{path} cannot be written as a bag: {error}') from error
+        raise SourceError(
+            f'{path} cannot be written as a bag: {error}; remove what is there, or choose '
+            'another folder') from error
 
 
 def _in_time_order(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[int, str, int]]:

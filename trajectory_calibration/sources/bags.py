@@ -100,25 +100,30 @@ class BagReader:
     Attributes
     ----------
     channels : topics, types and counts over all bags, by name.
-    notes : what is wrong with the bags as a whole.
 
     """
 
     def __init__(self, bags: list[_OpenBag]) -> None:
         self._bags = bags
-        self.notes = [note for bag in bags for note in bag.notes()]
         if not any(item.storage for bag in bags for item in bag.files):
-            raise SourceError(f'{"; ".join(self.notes)}: nothing in it can be read')
+            raise SourceError(
+                f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
+                'was recorded, or record anew')
         counts: dict[tuple[str, str], int] = {}
         for bag in bags:
             for topic, msgtype, messages in bag.channels():
                 counts[topic, msgtype] = counts.get((topic, msgtype), 0) + messages
         self.channels = [Channel(*key, counts[key]) for key in sorted(counts)]
 
+    @property
+    def notes(self) -> list[str]:
+        """Return what is wrong with the bags as a whole, as far as they have been read."""
+        return [note for bag in self._bags for note in bag.notes()]
+
     def read(
         self, topics: Sequence[str], progress: Progress | None = None,
     ) -> dict[str, TopicTrack]:
-        """Read some topics in one pass.
+        """Read some topics in one pass; the first track carries the notes on the bags.
 
         Raises
         ------
@@ -138,6 +143,8 @@ class BagReader:
                 parts[topic] += found
                 warnings[topic] += bag.missing(
                     topic, sum(track.messages for track in found))
+        for topic in list(types)[:1]:
+            warnings[topic][:0] = self.notes
         return {
             topic: join_tracks(topic, msgtype, parts[topic], tuple(warnings[topic]))
             for topic, msgtype in types.items()}
@@ -225,14 +232,12 @@ class _OpenBag:
         expected = max(
             self.bag.declared.get(topic, 0),
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
-        notes = self.notes()
+        found = f'{self.bag.path}: read {read}'
         if expected > read:
-            notes.append(f'{self.bag.path}: read {read} of {expected} messages, '
-                         f'{expected - read} are missing')
-        elif any(item.damage for item in self.files) and topic not in self.bag.declared:
-            notes.append(
-                f'{self.bag.path}: read {read} messages; how many are missing is not known')
-        return notes
+            return [f'{found} of {expected} messages, {expected - read} are missing']
+        if any(item.damage for item in self.files) and topic not in self.bag.declared:
+            return [f'{found} messages; how many are missing is not known']
+        return []
 
 
 class _Meter:
