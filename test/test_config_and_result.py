@@ -16,6 +16,7 @@ from trajectory_calibration import (
     MotionError,
     ResultError,
     Trajectory,
+    TrajectoryError,
 )
 from trajectory_calibration.config import Option
 
@@ -59,6 +60,24 @@ def test_a_default_is_what_the_paper_says():
 def test_wrong_settings_are_refused_with_the_right_ones(values, message):
     with pytest.raises(ConfigError, match=message):
         CalibrationConfig.from_dict(values)
+
+
+@pytest.mark.parametrize('given, normal', [
+    ('AUTO', 'auto'), (' Auto ', 'auto'), ('b7', 'B7'), ('a', 'A'), ('B7', 'B7')])
+def test_a_reference_is_written_one_way(given, normal):
+    assert CalibrationConfig(reference=given).reference == normal
+
+
+def test_a_reference_of_thousands_of_digits_is_refused():
+    with pytest.raises(ConfigError, match=r'reference .* is unknown'):
+        CalibrationConfig(reference=f'B{"9" * 5000}')
+
+
+def test_what_is_no_trajectory_is_refused():
+    rng = np.random.default_rng(1)
+    a, _ = sensor_pair(rng, random_pose(rng))
+    with pytest.raises(TrajectoryError, match='trajectory_b is of type NoneType, needed a Traj'):
+        calibrate(a, None)
 
 
 def test_an_integer_serves_where_a_number_is_meant():

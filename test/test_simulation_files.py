@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from trajectory_calibration import se3
+from trajectory_calibration import ConfigError, se3
+from trajectory_calibration.cli import simulate as simulate_command
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.cli.simulate import add_parser, FORMATS
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate
-from trajectory_calibration.simulation.files import MESSAGES, STORAGES
+from trajectory_calibration.simulation.files import MESSAGES, STORAGES, write_bag
 from trajectory_calibration.sources.files import FileSource, read_transform
 
 
@@ -159,6 +160,15 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     err = capsys.readouterr().err
     assert 'cannot be written as a bag' in err
     assert err.endswith('; remove what is there, or choose another folder\n')
+
+
+def test_the_command_offers_what_can_be_written(tmp_path):
+    assert ('tum', *STORAGES) == FORMATS
+    assert simulate_command.MESSAGES == MESSAGES
+    for wrong in ({'message': 'x'}, {'storage': 'x'}):
+        with pytest.raises(ConfigError, match=r"'x' is unknown; needed one of \w+, \w+$"):
+            write_bag(tmp_path / 'bag', {}, **wrong)
+    assert not list(tmp_path.iterdir())
 
 
 def test_help_names_everything_there_is():

@@ -5,6 +5,8 @@ from decimal import Decimal
 import gzip
 import lzma
 from pathlib import Path
+import re
+import shlex
 
 from bag_writing import make_track
 from hypothesis import given, HealthCheck, settings
@@ -12,7 +14,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from trajectory_calibration import SourceError
+from trajectory_calibration import ConfigError, SourceError
+from trajectory_calibration.cli.main import main
 from trajectory_calibration.se3 import quaternion_to_rotation
 from trajectory_calibration.sources.files import _seconds_to_ns, FileSource, read_transform
 
@@ -321,3 +324,21 @@ def test_published_ground_truth(shared_data):
     truth = read_transform(
         shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt')
     np.testing.assert_array_equal(truth[:3, 3], [0.334, -0.005, -0.076])
+
+
+def test_the_sample_of_the_readme_runs_on_what_its_commands_make(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parents[1] / 'README.md').read_text(encoding='utf-8')
+    (command,) = re.findall(r'^ +trajectory_calibration (simulate .*)$', readme, re.MULTILINE)
+    assert main(shlex.split(command)) == 0
+    (sample,) = re.findall(r'```python\n(.*?)```', readme, re.DOTALL)
+    names = {}
+    exec(sample, names)
+    truth = read_transform('drive/truth.tum')
+    assert names['result'].absolute_errors(truth).e_at < 0.05
+    assert (names['result'].frame_a, names['result'].frame_b) == ('lidar', 'camera')
+
+
+def test_a_format_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"'csv' is unknown; needed one of tum, kitti, euroc"):
+        FileSource(tmp_path / 'a', 'csv').load()

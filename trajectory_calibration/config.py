@@ -11,8 +11,9 @@ from dataclasses import asdict, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
+from trajectory_calibration.association import METHODS
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.motions import AUTOMATIC, parse_reference, REFERENCE_HELP
+from trajectory_calibration.motions import normal_reference, REFERENCE_HELP
 from trajectory_calibration.priors import parse_prior, Prior
 from trajectory_calibration.solvers import SOLVER_NAMES
 
@@ -103,7 +104,7 @@ class CalibrationConfig:
     association: str = _option(
         'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
         'the nearest, or (auto) interpolate, but keep to coinciding stamps where most are',
-        choices=('auto', 'interpolate', 'nearest'))
+        choices=METHODS)
     max_gap: float = _option(
         0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)
     max_time_difference: float = _option(
@@ -163,8 +164,7 @@ class CalibrationConfig:
     def __post_init__(self) -> None:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
-        if self.reference != AUTOMATIC:
-            parse_reference(self.reference)
+        object.__setattr__(self, 'reference', normal_reference(self.reference))
         for term in ('scale', 'systematic_drift'):
             if self.mode(term) == 'estimate' and self.solver != 'drift_aware':
                 raise ConfigError(

@@ -14,7 +14,9 @@ from trajectory_calibration.errors import ConfigError, SourceError
 if TYPE_CHECKING:
     from trajectory_calibration.simulation import Noise, Scenario, SimulatedPair
 
+# Not taken from simulation.files, which would load with every command; a test compares.
 FORMATS = ('tum', 'mcap', 'sqlite3')
+MESSAGES = ('odometry', 'pose_stamped')
 TOPICS = ('/trajectory_a', '/trajectory_b')
 
 
@@ -48,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--format', choices=FORMATS, default='tum', help='of the trajectories (default: tum)')
     parser.add_argument(
-        '--message', choices=('odometry', 'pose_stamped'), default='odometry',
+        '--message', choices=MESSAGES, default='odometry',
         help='type of the messages in a bag (default: odometry)')
     parser.set_defaults(run=run)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass, field
+import os
 from pathlib import Path
 
 from trajectory_calibration.errors import pip_name, SourceError, TopicError
@@ -55,7 +56,7 @@ class BagSource:
 
     """
 
-    bags: Sequence[Path]
+    bags: Sequence[str | os.PathLike[str]]
     topic: str
     sensor_frame: str | None = None
     world_frame: str | None = None
@@ -77,7 +78,7 @@ class BagSource:
 
 
 @contextmanager
-def open_bags(paths: Iterable[Path]) -> Iterator[BagReader]:
+def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
     """Open several bags together; they close with the ``with`` statement.
 
     Raises

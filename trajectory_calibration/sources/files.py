@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.errors import SourceError, TrajectoryError
+from trajectory_calibration.errors import ConfigError, SourceError, TrajectoryError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 
@@ -56,9 +56,9 @@ class FileSource:
 
     """
 
-    path: Path
+    path: str | os.PathLike[str]
     file_format: str | None = None
-    times: Path | None = None
+    times: str | os.PathLike[str] | None = None
     sensor_frame: str = 'sensor'
     world_frame: str = 'map'
 
@@ -67,11 +67,16 @@ class FileSource:
 
         Raises
         ------
+        ConfigError
+            An unknown format.
         SourceError
             The file cannot be read, is empty, is not text, or a line of it does not fit.
 
         """
-        table = _Table.read(self.path)
+        if self.file_format not in (None, *FORMATS):
+            raise ConfigError(
+                f'format {self.file_format!r} is unknown; needed one of {", ".join(FORMATS)}')
+        table = _Table.read(Path(self.path))
         file_format = self.file_format or _detect_format(table)
         if file_format == 'kitti' and self.times is None:
             raise SourceError(
@@ -84,7 +89,7 @@ class FileSource:
                 f'{self.times} out, or say that the format is kitti')
         try:
             if file_format == 'kitti' and self.times is not None:
-                return self._kitti(table, _Table.read(self.times))
+                return self._kitti(table, _Table.read(Path(self.times)))
             return self._quaternions(table, file_format)
         except TrajectoryError as error:
             raise SourceError(f'{self.path}: {error}') from error
