@@ -124,15 +124,23 @@ def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):
     ('scipy.signal', 'scipy', 'simulate --output {a}.d --scenario offroad'),
     ('ruamel', 'ruamel.yaml', 'calibrate {a} {b} --config {a}'),
     ('ruamel.yaml', 'ruamel.yaml', 'calibrate {a} {b} --solver park --format yaml')])
-def test_a_package_that_is_missing_is_named(
-        tmp_path, monkeypatch, capsys, module, package, command):
+def test_a_package_that_is_missing_is_named(tmp_path, module, package, command):
     a, b, _ = write_pair(tmp_path)
-    for name in [name for name in sys.modules if name.startswith(f'{module}.')]:
-        monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.setitem(sys.modules, module, None)
-    status, out, err = run(capsys, *command.format(a=a, b=b).split())
-    assert (status, out) == (1, '')
-    assert err == f'error: {package} is not installed; pip install {package}\n'
+    done = _run_without(module, *command.format(a=a, b=b).split())
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr == f'error: {package} is not installed; pip install {package}\n'
+
+
+def _run_without(module, *arguments):
+    """Run the command line where a module cannot be imported."""
+    code = (
+        'import sys\n'
+        f'sys.modules["{module}"] = None\n'
+        'from trajectory_calibration.cli.main import main\n'
+        'sys.exit(main(sys.argv[1:]))\n')
+    return subprocess.run(
+        [sys.executable, '-c', code, *arguments],
+        capture_output=True, text=True, check=False, timeout=60)
 
 
 def test_start_loads_nothing_heavy():
@@ -152,14 +160,7 @@ def test_start_loads_nothing_heavy():
     ('ruamel.yaml', 'ruamel.yaml')])
 def test_a_machine_without_rosbags_reads_files_and_says_what_bags_need(tmp_path, module, package):
     a, _, _ = write_pair(tmp_path)
-    code = (
-        'import sys\n'
-        f'sys.modules["{module}"] = None\n'
-        'from trajectory_calibration.cli.main import main\n'
-        'sys.exit(main(sys.argv[1:]))\n')
-    files, bags = (subprocess.run(
-        [sys.executable, '-c', code, 'inspect', path],
-        capture_output=True, text=True, check=False, timeout=60) for path in (a, str(tmp_path)))
+    files, bags = (_run_without(module, 'inspect', path) for path in (a, str(tmp_path)))
     assert (files.returncode, files.stderr) == (0, '')
     assert bags.returncode == 1
     assert bags.stderr == (

@@ -304,7 +304,7 @@ def test_the_arrays_of_a_result_are_its_own_and_read_only(result):
 def test_a_count_of_an_association_that_is_none_is_refused(result):
     data = result.to_dict()
     data['association']['pairs'] = 'many'
-    with pytest.raises(ResultError, match="found 'many', needed a int"):
+    with pytest.raises(ResultError, match="found 'many', needed a value of type int"):
         CalibrationResult.from_dict(data)
 
 
@@ -324,6 +324,9 @@ def test_warnings_of_the_motion_survive_and_older_files_are_read_without(result,
     older = again.to_dict()
     del older['observability']['warnings']
     assert CalibrationResult.from_dict(older).observability.warnings == ()
+    older['observability']['warnings'] = 'abc'
+    with pytest.raises(ResultError, match="found 'abc', needed a list"):
+        CalibrationResult.from_dict(older)
 
 
 def test_missing_file(tmp_path):

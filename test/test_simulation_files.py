@@ -159,7 +159,8 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
     err = capsys.readouterr().err
     assert 'cannot be written as a bag' in err
-    assert err.endswith('; remove what is there, or choose another folder\n')
+    assert err.endswith(
+        ' exists already, not overwriting; remove what is there, or choose another folder\n')
 
 
 def test_the_command_offers_what_can_be_written(tmp_path):

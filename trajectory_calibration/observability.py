@@ -108,6 +108,10 @@ class Observability:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Observability:
         """Rebuild from ``to_dict``."""
+        # Older files hold these among the warnings of the result only.
+        warnings = data.get('warnings', [])
+        if not isinstance(warnings, list):
+            raise TypeError(f'warnings: found {warnings!r}, needed a list of sentences')
         return cls(
             {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
             tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
@@ -116,8 +120,7 @@ class Observability:
             tuple(map(float, data['excitation_deg'])),
             tuple(map(float, data['translation_gain'])),
             tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
-            # Older files hold these among the warnings of the result only.
-            tuple(map(str, data.get('warnings', ()))))
+            tuple(map(str, warnings)))
 
 
 def observe(

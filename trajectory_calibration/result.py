@@ -275,7 +275,7 @@ def _require_absent(path: Path) -> None:
 def _of_kind(kind: type[_T], value: Any) -> _T:
     # A bool is an int to Python, and no count to anybody else.
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise TypeError(f'found {value!r}, needed a {kind.__name__}')
+        raise TypeError(f'found {value!r}, needed a value of type {kind.__name__}')
     return value
 
 

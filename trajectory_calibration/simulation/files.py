@@ -99,8 +99,8 @@ def write_bag(
                 writer.write(connections[topic], stamp, data)
     except (OSError, WriterError) as error:
         raise SourceError(
-            f'{path} cannot be written as a bag: {error}; remove what is there, or choose '
-            'another folder') from error
+            f'{path} cannot be written as a bag: {str(error).rstrip(".")}; remove what is '
+            'there, or choose another folder') from error
 
 
 def _in_time_order(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[int, str, int]]:
