@@ -6,7 +6,14 @@ from motion_data import perturb, random_pose, sensor_pair, stamps, wander
 import numpy as np
 import pytest
 
-from trajectory_calibration import AssociationError, calibrate, CalibrationConfig, se3, Trajectory
+from trajectory_calibration import (
+    AssociationError,
+    calibrate,
+    CalibrationConfig,
+    ConfigError,
+    se3,
+    Trajectory,
+)
 from trajectory_calibration.association import (
     associate,
     associate_by_interpolation,
@@ -223,3 +230,9 @@ def test_gaps_are_a_warning_in_the_result():
     result = calibrate(holed, b, CalibrationConfig(solver='dnl'))
     assert result.association.in_gaps == 20
     assert '20% of the poses of camera fall in gaps of lidar' in result.warnings
+
+
+def test_an_unknown_method_is_refused():
+    trajectory = still([0, 1, 2])
+    with pytest.raises(ConfigError, match=r"'near' .* needed one of auto, interpolate, nearest"):
+        associate(trajectory, trajectory, method='near')

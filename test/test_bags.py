@@ -6,7 +6,8 @@ import pytest
 
 from trajectory_calibration import SourceError, TopicError
 from trajectory_calibration.se3 import quaternion_to_rotation
-from trajectory_calibration.sources.bags import BagSource, open_bags
+from trajectory_calibration.sources import BagSource
+from trajectory_calibration.sources.bags import open_bags
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 
 STORAGES = ('mcap', 'mcap zstd', 'sqlite3', 'sqlite3 message', 'sqlite3 file', 'ros1')
@@ -61,7 +62,7 @@ def test_a_folder_named_like_a_ros1_bag(tmp_path, storage):
 
 def test_frames_can_be_overridden(tmp_path):
     write_bag(tmp_path / 'bag')
-    trajectory = BagSource([tmp_path / 'bag'], '/odom', 'velodyne', 'utm').load()
+    trajectory = BagSource([str(tmp_path / 'bag')], '/odom', 'velodyne', 'utm').load()
     assert (trajectory.sensor_frame, trajectory.world_frame) == ('velodyne', 'utm')
 
 
@@ -95,8 +96,22 @@ def test_last_path_wins_over_several_bags(tmp_path):
         with BagFile(tmp_path / name) as bag:
             bag.add('/path', bag.messages.path(stamps_ns, poses + 5), received_ns)
             bag.add('/path', bag.messages.path(stamps_ns, poses + shift), received_ns + 1)
-    _expect(BagSource([tmp_path / 'late', tmp_path / 'early'], '/path').load(),
-            stamps_ns, poses)
+    trajectory = BagSource([tmp_path / 'late', tmp_path / 'early'], '/path').load()
+    _expect(trajectory, stamps_ns, poses)
+    assert trajectory.warnings == ()
+
+
+def test_a_path_of_another_drive_that_is_dropped_is_named(tmp_path):
+    stamps_ns, poses = make_track(9)
+    for k, name in enumerate(('one', 'two', 'three')):
+        part = slice(3 * k, 3 * k + 3)
+        with BagFile(tmp_path / name) as bag:
+            bag.add('/path', bag.messages.path(stamps_ns[part], poses[part]), 1000 + k)
+    trajectory = BagSource([tmp_path / name for name in ('two', 'three', 'one')], '/path').load()
+    _expect(trajectory, stamps_ns[6:], poses[6:])
+    assert ''.join(trajectory.warnings) == (
+        'path: /path: 2 earlier paths with 6 poses of another time: dropped, only the last path '
+        'is used; calibrate each bag by itself')
 
 
 def test_blocks_are_joined(tmp_path):

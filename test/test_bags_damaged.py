@@ -188,8 +188,8 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('nothing', 'does not exist; needed a rosbag2 folder or a .mcap, .db3, .bag file'),
     ('file.txt', 'is not a bag; needed'),
-    ('folder', 'is not a bag: no metadata.yaml that can be read'),
-    ('empty.mcap', 'is damaged .ReaderError: .* nothing in it can be read'),
+    ('folder', 'is not a bag: no metadata.yaml that can be read .*; give a folder that ros2 bag'),
+    ('empty.mcap', 'is damaged .ReaderError: .* nothing in it can be read; copy it again'),
     ('empty.db3', 'is damaged .* nothing in it can be read'),
     ('empty.bag', 'is damaged .* nothing in it can be read'),
 ])

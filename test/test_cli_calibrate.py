@@ -1,16 +1,19 @@
 """``trajectory_calibration calibrate``: answers, formats, files, and wrong input of every kind."""
 
+from dataclasses import replace
 import json
+from pathlib import Path
 
 from cli_helpers import run, write_pair, write_pair_bag, X
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from trajectory_calibration import CalibrationConfig, CalibrationResult, se3
+from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult, se3
 from trajectory_calibration.cli.options import join_negative_values
-from trajectory_calibration.report.text import format_result, roll_pitch_yaw_deg
-from trajectory_calibration.sources.files import read_transform
+from trajectory_calibration.report.text import deviation_words, format_result, roll_pitch_yaw_deg
+from trajectory_calibration.ros.answer import describe
+from trajectory_calibration.sources.files import FileSource, read_transform
 
 SOLVER = ('--solver', 'taylor', '--reference', 'B5')
 
@@ -83,6 +86,24 @@ def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
     assert '0.1000 s on sensor_b' in text
 
 
+@pytest.mark.parametrize('sigma, words', [
+    ([0.01, 4.9, 5.0, 0.01, 1.5, np.pi / 2],
+     ['0.0100', '4.9000', 'unknown', '0.573', '85.944', 'unknown']),
+    ([10.0013, 11690.4, np.nan, 583.8, np.pi, np.nan], ['unknown'] * 6)])
+def test_a_deviation_that_means_nothing_is_known_is_no_number(files, sigma, words):
+    covariance = np.diag(np.square(sigma))
+    assert deviation_words(covariance) == words
+    a, b = (FileSource(name).load() for name in map(Path, files[:2]))
+    result = replace(calibrate(a, b, CalibrationConfig(solver='taylor', reference='B5')),
+                     covariance=covariance)
+    x, y, z, about_x, about_y, about_z = words
+    text = format_result(result)
+    assert f'  1 sigma along   x {x}  y {y}  z {z} m\n' in text
+    assert f'  1 sigma about   x {about_x}  y {about_y}  z {about_z} deg\n' in text
+    assert (f'[{x}, {y}, {z}] m, about xyz [{about_x}, {about_y}, {about_z}] deg'
+            in describe(result))
+
+
 def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):
     a, b, _ = files
     run(capsys, 'calibrate', a, b, *SOLVER, '--output', tmp_path)
@@ -151,6 +172,32 @@ def test_output_that_cannot_be_written(files, capsys):
     status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', f'{a}/below')
     assert (status, out) == (1, '')
     assert err == f'error: {a}/below cannot be written: Not a directory; give another --output\n'
+
+
+@pytest.mark.parametrize('taken, written', [
+    ('result.yaml', ['result.yaml']), ('T_a_b.txt', ['T_a_b.txt', 'result.yaml'])])
+def test_a_result_that_cannot_be_written_leaves_no_newer_transform(
+        files, tmp_path, capsys, taken, written):
+    a, b, _ = files
+    folder = tmp_path / 'out'
+    (folder / taken / 'below').mkdir(parents=True)
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', folder)
+    assert (status, out) == (1, '')
+    assert err == (
+        f'error: {folder}/{taken} cannot be written: Is a directory; give another --output\n')
+    assert sorted(item.name for item in folder.iterdir()) == written
+
+
+def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
+    a, b, _ = write_pair(tmp_path, planar=True)
+    status, _, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--solver', 'ali',
+                       '--allow-unobserved', '--output', tmp_path)
+    assert status == 0
+    lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
+    assert lines[1] == '# not observed: z'
+    np.testing.assert_allclose(
+        read_transform(tmp_path / 'T_a_b.txt'),
+        CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
@@ -257,6 +304,8 @@ def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
     ('max_gap: [1]', 'needed a value of type float'),
     ('- 1', 'holds no settings; needed lines such as'),
     ('a: [', 'cannot be read as settings'),
+    ('a: 2023-13-45', 'cannot be read as settings: ValueError'),
+    ('[' * 5000, 'cannot be read as settings: RecursionError'),
 ])
 def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     settings = tmp_path / 'settings.yaml'

@@ -95,6 +95,17 @@ def test_a_damaged_bag_is_inspected_with_a_warning(tmp_path, capsys):
     assert 'of 80 messages' in out
 
 
+def test_what_is_wrong_with_a_bag_is_said_once(tmp_path, capsys):
+    bag = write_pair_bag(tmp_path / 'bag')
+    (tmp_path / 'bag/metadata.yaml').unlink()
+    _, out, _ = run(capsys, 'inspect', bag)
+    assert out.count('metadata.yaml is missing') == 1
+    _, out, _ = run(capsys, 'calibrate', '/lidar/odom', '/camera/pose', '--bag', bag, '--solver',
+                    'park', '--reference', 'B5', '--format', 'json')
+    assert [note.split(': ', 2)[2] for note in json.loads(out)['warnings']] == [
+        f'{bag}: metadata.yaml is missing: read bag.mcap']
+
+
 def test_the_last_message_of_a_path(tmp_path, capsys):
     stamps_ns, poses = make_track(5)
     with BagFile(tmp_path / 'bag') as bag:

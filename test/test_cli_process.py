@@ -3,6 +3,7 @@
 import io
 import json
 import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -70,6 +71,78 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
         assert (process.wait(timeout=30), err) == (0, b'')
 
 
+def _shell(command, **environment):
+    """Run a line of shell in which $CLI is the command line."""
+    return subprocess.run(
+        ['bash', '-c', command.replace('$CLI', f'{sys.executable} -m trajectory_calibration')],
+        env={**os.environ, **environment}, capture_output=True, check=False, timeout=60)
+
+
+@pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full on this system')
+@pytest.mark.parametrize('command', ['inspect {a}', '--help', 'calibrate {a} {b} --solver park'])
+def test_a_full_disk_is_one_line(tmp_path, command):
+    a, b, _ = write_pair(tmp_path)
+    done = _shell(f'$CLI {command.format(a=a, b=b)} > /dev/full')
+    assert done.returncode == 1
+    assert done.stderr == (
+        b'error: standard output cannot be written: No space left on device; free space, or '
+        b'write elsewhere\n')
+
+
+@pytest.mark.parametrize('command', ['inspect {a}', '--version', '--help'])
+def test_a_closed_output_is_no_error(tmp_path, command):
+    a, _, _ = write_pair(tmp_path)
+    done = _shell(f'$CLI {command.format(a=a)} >&-')
+    assert done.returncode == 0
+    assert b'Traceback' not in done.stderr
+
+
+def test_a_closed_output_leaves_the_errors(tmp_path):
+    done = _shell(f'$CLI inspect {tmp_path}/none >&-')
+    assert (done.returncode, done.stderr.count(b'\n')) == (1, 1)
+    assert done.stderr.startswith(b'error: ')
+
+
+def test_a_path_that_the_system_refuses_is_one_line(capsys):
+    status, out, err = run(capsys, 'inspect', 'x' * 5000)
+    assert (status, out) == (1, '')
+    assert err == f'error: {"x" * 5000}: File name too long\n'
+
+
+@pytest.mark.parametrize('command', [
+    'calibrate {a} {b} --solver park --frame-a ä', 'benchmark paper --help', '--help'])
+def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):
+    a, b, _ = write_pair(tmp_path)
+    done = _shell(f'$CLI {command.format(a=a, b=b)}', PYTHONIOENCODING='ascii')
+    assert (done.returncode, done.stderr) == (0, b'')
+    assert ('ä' in command) == (rb'sensor_b in \xe4' in done.stdout)
+
+
+@pytest.mark.parametrize('module, package, command', [
+    ('casadi', 'casadi', 'calibrate {a} {b} --solver dnl --reference B5'),
+    ('scipy', 'scipy', 'calibrate {a} {b}'),
+    ('scipy.signal', 'scipy', 'simulate --output {a}.d --scenario offroad'),
+    ('ruamel', 'ruamel.yaml', 'calibrate {a} {b} --config {a}'),
+    ('ruamel.yaml', 'ruamel.yaml', 'calibrate {a} {b} --solver park --format yaml')])
+def test_a_package_that_is_missing_is_named(tmp_path, module, package, command):
+    a, b, _ = write_pair(tmp_path)
+    done = _run_without(module, *command.format(a=a, b=b).split())
+    assert (done.returncode, done.stdout) == (1, '')
+    assert done.stderr == f'error: {package} is not installed; pip install {package}\n'
+
+
+def _run_without(module, *arguments):
+    """Run the command line where a module cannot be imported."""
+    code = (
+        'import sys\n'
+        f'sys.modules["{module}"] = None\n'
+        'from trajectory_calibration.cli.main import main\n'
+        'sys.exit(main(sys.argv[1:]))\n')
+    return subprocess.run(
+        [sys.executable, '-c', code, *arguments],
+        capture_output=True, text=True, check=False, timeout=60)
+
+
 def test_start_loads_nothing_heavy():
     code = (
         'import sys\n'
@@ -82,20 +155,16 @@ def test_start_loads_nothing_heavy():
     assert done.stdout == f'{__version__}\n[]\n'
 
 
-def test_a_machine_without_rosbags_reads_files_and_says_what_bags_need(tmp_path):
+@pytest.mark.parametrize('module, package', [
+    ('rosbags', 'rosbags'), ('apsw', 'apsw'), ('ruamel', 'ruamel.yaml'),
+    ('ruamel.yaml', 'ruamel.yaml')])
+def test_a_machine_without_rosbags_reads_files_and_says_what_bags_need(tmp_path, module, package):
     a, _, _ = write_pair(tmp_path)
-    code = (
-        'import sys\n'
-        'sys.modules["rosbags"] = None\n'
-        'from trajectory_calibration.cli.main import main\n'
-        'sys.exit(main(sys.argv[1:]))\n')
-    files, bags = (subprocess.run(
-        [sys.executable, '-c', code, 'inspect', path],
-        capture_output=True, text=True, check=False, timeout=60) for path in (a, str(tmp_path)))
+    files, bags = (_run_without(module, 'inspect', path) for path in (a, str(tmp_path)))
     assert (files.returncode, files.stderr) == (0, '')
     assert bags.returncode == 1
     assert bags.stderr == (
-        'error: bags need the Python package rosbags, which is not installed; install it with: '
+        f'error: bags need the Python package {package}, which is not installed; install it with: '
         'pip install rosbags\n')
 
 
@@ -105,11 +174,24 @@ def test_wrong_usage(capsys, arguments):
 
 
 @pytest.mark.parametrize('arguments', [
-    ['--help'], ['calibrate', '--help'], ['inspect', '--help']])
-def test_help(capsys, arguments):
-    status, out, err = run(capsys, *arguments)
+    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['benchmark'],
+    ['benchmark', 'paper'], ['benchmark', 'repeat']])
+def test_help_fits_a_terminal(monkeypatch, capsys, arguments):
+    monkeypatch.setenv('COLUMNS', '80')
+    status, out, err = run(capsys, *arguments, '--help')
     assert (status, err) == (0, '')
     assert out.startswith('usage: trajectory_calibration')
+    assert max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['benchmark'],
+    ['benchmark', 'repeat'], ['benchmark', 'paper', '--jobs', 'x']])
+def test_wrong_usage_is_two_lines(monkeypatch, capsys, arguments):
+    monkeypatch.setenv('COLUMNS', '80')
+    status, out, err = run(capsys, *arguments)
+    assert (status, out, err.count('\n')) == (2, '', 2)
+    assert err.startswith('usage: trajectory_calibration')
 
 
 def test_version(capsys):
@@ -145,19 +227,21 @@ def test_short_work_and_files_see_no_progress(monkeypatch):
     assert (terminal.getvalue(), file.getvalue()) == ('', '')
 
 
-@pytest.mark.parametrize('command', ['calibrate', 'simulate'])
+@pytest.mark.parametrize('command', ['calibrate', 'inspect', 'simulate'])
 def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
         tmp_path, monkeypatch, capsys, command):
     a, b, _ = write_pair(tmp_path)
     arguments = {'calibrate': [a, b, '--solver', 'taylor', '--reference', 'B5'],
+                 'inspect': [a],
                  'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise']}[command]
     monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
     assert main([command, *arguments]) == 0
     shown = terminal.getvalue()
-    assert shown.startswith(f'\r{command.removesuffix("e")}ing, 0 s')
-    assert shown.endswith('\r\033[K')
+    work = {'calibrate': ['reading', 'calibrating'], 'inspect': ['reading'],
+            'simulate': ['simulating']}[command]
+    assert shown == ''.join(f'\r{name}, 0 s\r\033[K' for name in work)
     # Whatever came out after it came out after it was cleared.
     assert '\r' not in capsys.readouterr().out
     file = io.StringIO()

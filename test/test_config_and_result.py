@@ -16,6 +16,7 @@ from trajectory_calibration import (
     MotionError,
     ResultError,
     Trajectory,
+    TrajectoryError,
 )
 from trajectory_calibration.config import Option
 
@@ -31,6 +32,8 @@ def result():
 def test_every_option_has_a_sentence_and_a_default_in_range():
     for option in CalibrationConfig.options():
         assert len(option.help) > 10, option.name
+        # The node shows each on its own.
+        assert not option.help.startswith(('the same', 'its ')), option.name
         assert option.check(option.default) == option.default
 
 
@@ -60,6 +63,24 @@ def test_wrong_settings_are_refused_with_the_right_ones(values, message):
         CalibrationConfig.from_dict(values)
 
 
+@pytest.mark.parametrize('given, normal', [
+    ('AUTO', 'auto'), (' Auto ', 'auto'), ('b7', 'B7'), ('a', 'A'), ('B7', 'B7')])
+def test_a_reference_is_written_one_way(given, normal):
+    assert CalibrationConfig(reference=given).reference == normal
+
+
+def test_a_reference_of_thousands_of_digits_is_refused():
+    with pytest.raises(ConfigError, match=r'reference .* is unknown'):
+        CalibrationConfig(reference=f'B{"9" * 5000}')
+
+
+def test_what_is_no_trajectory_is_refused():
+    rng = np.random.default_rng(1)
+    a, _ = sensor_pair(rng, random_pose(rng))
+    with pytest.raises(TrajectoryError, match='trajectory_b is of type NoneType, needed a Traj'):
+        calibrate(a, None)
+
+
 def test_an_integer_serves_where_a_number_is_meant():
     assert CalibrationConfig(max_gap=2).max_gap == 2.0
 
@@ -81,6 +102,8 @@ def test_a_word_of_numpy_becomes_plain():
 def test_what_is_no_number_is_refused(value):
     with pytest.raises(ConfigError, match='max_gap is'):
         CalibrationConfig(max_gap=value)
+    with pytest.raises(ConfigError, match='solver is an integer of too many digits'):
+        CalibrationConfig(solver=10**5000)
     with pytest.raises(ConfigError, match=r'n is 1\.5, needed a value of type int'):
         Option('n', int, 1, 'a count').check(1.5)
 
@@ -221,6 +244,13 @@ def test_a_place_that_cannot_be_written_is_named(result, tmp_path):
     ('hello: world', 'KeyError'),
     ('!!python/object/apply:os.system ["true"]', 'cannot be read'),
     ('\0\1', 'cannot be read'),
+    ('a: 2023-13-45', 'cannot be read as a result: ValueError'),
+    ('a: !!int "abc"', 'cannot be read as a result: ValueError'),
+    ('a: !!int ""', 'cannot be read as a result: IndexError'),
+    ('a: !!bool x', 'cannot be read as a result: KeyError'),
+    ('"\\U99999999"', 'cannot be read as a result: OverflowError'),
+    (f'a: {"9" * 5000}', 'cannot be read as a result: ValueError|KeyError'),
+    ('[' * 5000, 'cannot be read as a result: RecursionError'),
 ])
 def test_other_files_are_not_results(tmp_path, text, message):
     path = tmp_path / 'x.yaml'
@@ -231,7 +261,13 @@ def test_other_files_are_not_results(tmp_path, text, message):
 
 @pytest.mark.parametrize('key, value', [
     ('format_version', 99), ('T_a_b', None), ('T_a_b', {'translation': [0, 0], 'rotation_xyzw': [
-        0, 0, 0, 1]}), ('config', {'solver': 'x'}), ('inlier_motions', 'a-b'), ('poses', 'many')])
+        0, 0, 0, 1]}), ('config', {'solver': 'x'}), ('config', ''), ('inlier_motions', 'a-b'),
+    ('poses', 'many'), ('poses', float('inf')), ('poses', True), ('motions', 10**15),
+    ('motions', float('inf')),
+    ('motions', -1), ('warnings', 'abc'), ('warnings', [5]), ('diagnosis', 5),
+    ('optimality_gap', 'x'), ('scale', float('nan')), ('scale', 10**400), ('scale', '1'),
+    ('time_offset_s', float('inf')), ('e_rt_m', 'nan'), ('reference_choice', 5),
+    ('association', {}), ('association', 'abc'), ('observability', [])])
 def test_a_spoilt_result_is_refused(result, key, value):
     data = {**result.to_dict(), key: value}
     with pytest.raises(ResultError):
@@ -285,6 +321,34 @@ def test_the_arrays_of_a_result_are_its_own_and_read_only(result):
     for array in (frozen.T_a_b, frozen.covariance, frozen.inliers, result.T_a_b):
         with pytest.raises(ValueError, match='read-only'):
             array[0] = 0
+
+
+def test_a_count_of_an_association_that_is_none_is_refused(result):
+    data = result.to_dict()
+    data['association']['pairs'] = 'many'
+    with pytest.raises(ResultError, match="found 'many', needed a value of type int"):
+        CalibrationResult.from_dict(data)
+
+
+@pytest.mark.parametrize('path', ['', 'x\0', '/'])
+def test_a_path_that_is_no_file_name_is_refused(result, path):
+    with pytest.raises(ResultError, match='cannot be written'):
+        result.save(path)
+    with pytest.raises(ResultError, match='cannot be read'):
+        CalibrationResult.load(path)
+
+
+def test_warnings_of_the_motion_survive_and_older_files_are_read_without(result, tmp_path):
+    seen = dataclasses.replace(result.observability, warnings=('translation along z: weak',))
+    dataclasses.replace(result, observability=seen).save(tmp_path / 'r.yaml')
+    again = CalibrationResult.load(tmp_path / 'r.yaml')
+    assert again.observability.warnings == ('translation along z: weak',)
+    older = again.to_dict()
+    del older['observability']['warnings']
+    assert CalibrationResult.from_dict(older).observability.warnings == ()
+    older['observability']['warnings'] = 'abc'
+    with pytest.raises(ResultError, match="found 'abc', needed a list"):
+        CalibrationResult.from_dict(older)
 
 
 def test_missing_file(tmp_path):

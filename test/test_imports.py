@@ -15,7 +15,7 @@ NAME = PACKAGE.name
 # names; the solvers stand after it.
 FLOW = (
     ('errors', 'version'),
-    ('se3', 'writing'),
+    ('se3', 'reading', 'writing'),
     ('trajectory',),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),
@@ -108,7 +108,8 @@ def test_the_scan_sees_imports():
     assert own_module(f'{NAME}.se3') == 'se3'
 
 
-@pytest.mark.parametrize('module', [NAME, f'{NAME}.cli.main', f'{NAME}.simulation'])
+@pytest.mark.parametrize('module', [
+    NAME, f'{NAME}.cli.main', f'{NAME}.simulation', f'{NAME}.sources'])
 def test_import_loads_nothing_heavy(module):
     code = f'import sys, {module}; print(*sys.modules)'
     loaded = subprocess.run(

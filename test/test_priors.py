@@ -50,7 +50,8 @@ def test_a_standard_deviation_alone_says_nothing_so_that_each_can_be_set_alone()
         prior = parse_prior('', std, ' ', std)
         assert not prior.given
         np.testing.assert_array_equal(prior.rotation, np.eye(3))
-    with pytest.raises(ConfigError, match='set prior_translation_std first'):
+    with pytest.raises(ConfigError, match=(
+            r'needed both; give prior_translation_std too .*set prior_translation_std first')):
         parse_prior('0.3,0,0', '', '', '')
 
 

@@ -91,6 +91,23 @@ def test_wrong_usage_is_a_sentence(bag, capsys, arguments, status, sentence):
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.parametrize('content', [
+    'words', '[/**]', '5', '', '/**: x', '/**: {ros__parameters: ab}', '/**: {}',
+    '/**: {ros__parameters: [[solver, dnl]]}', '7: {}\n/**: 1'])
+def test_a_file_without_parameters_is_refused(tmp_path, capsys, content):
+    path = tmp_path / 'parameters.yaml'
+    path.write_text(content)
+    assert main(['replay', str(tmp_path), '--params-file', str(path)]) == 2
+    assert 'holds no parameters of trajectory_calibration; needed' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('value', ['2023-13-45', '!!int x', '"\\U99999999"', '[' * 5000])
+def test_a_parameter_that_is_no_yaml_is_refused(tmp_path, capsys, value):
+    assert main(['replay', str(tmp_path), '-p', f'max_gap:={value}']) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("error: -p 'max_gap:=") and ' cannot be read: ' in err
+
+
 def test_parameters_of_this_node_only_are_taken(bag, tmp_path, capsys):
     path = tmp_path / 'parameters.yaml'
     path.write_text(

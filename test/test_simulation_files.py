@@ -3,17 +3,19 @@
 import argparse
 from dataclasses import fields
 import re
+import shlex
 import sqlite3
 
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from trajectory_calibration import se3
+from trajectory_calibration import ConfigError, se3
+from trajectory_calibration.cli import simulate as simulate_command
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.cli.simulate import add_parser, FORMATS
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate
-from trajectory_calibration.simulation.files import MESSAGES, STORAGES
+from trajectory_calibration.simulation.files import MESSAGES, STORAGES, write_bag
 from trajectory_calibration.sources.files import FileSource, read_transform
 
 
@@ -22,6 +24,7 @@ def simulate_to(folder, *options):
 
 
 def test_tum_files_hold_the_pair(tmp_path, capsys):
+    tmp_path /= 'with a space'
     assert simulate_to(tmp_path, '--scenario', 'mixture', '--seed', '3') == 0
     pair = simulate(SCENARIOS['mixture'], 3)
     for name, expected in (('a', pair.a), ('b', pair.b)):
@@ -32,7 +35,7 @@ def test_tum_files_hold_the_pair(tmp_path, capsys):
     np.testing.assert_allclose(read_transform(tmp_path / 'truth.tum'), pair.T_a_b, atol=1e-13)
     # The command that it proposes works.
     hint = re.search(r'try: trajectory_calibration (.*)', capsys.readouterr().out)[1]
-    assert main([*hint.split(), '--solver', 'park']) == 0
+    assert main([*shlex.split(hint), '--solver', 'park']) == 0
 
 
 @pytest.mark.parametrize('storage', STORAGES)
@@ -154,7 +157,19 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
         f'error: {tmp_path}/taken/a.tum cannot be written: Is a directory\n')
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 0
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
-    assert 'cannot be written as a bag' in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert 'cannot be written as a bag' in err
+    assert err.endswith(
+        ' exists already, not overwriting; remove what is there, or choose another folder\n')
+
+
+def test_the_command_offers_what_can_be_written(tmp_path):
+    assert ('tum', *STORAGES) == FORMATS
+    assert simulate_command.MESSAGES == MESSAGES
+    for wrong in ({'message': 'x'}, {'storage': 'x'}):
+        with pytest.raises(ConfigError, match=r"'x' is unknown; needed one of \w+, \w+$"):
+            write_bag(tmp_path / 'bag', {}, **wrong)
+    assert not list(tmp_path.iterdir())
 
 
 def test_help_names_everything_there_is():

@@ -1,6 +1,12 @@
 """TUM, KITTI and EuRoC files: exact round trips, and what is wrong with a file in one line."""
 
+import bz2
 from decimal import Decimal
+import gzip
+import lzma
+from pathlib import Path
+import re
+import shlex
 
 from bag_writing import make_track
 from hypothesis import given, HealthCheck, settings
@@ -8,7 +14,8 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from trajectory_calibration import SourceError
+from trajectory_calibration import ConfigError, SourceError
+from trajectory_calibration.cli.main import main
 from trajectory_calibration.se3 import quaternion_to_rotation
 from trajectory_calibration.sources.files import _seconds_to_ns, FileSource, read_transform
 
@@ -191,6 +198,38 @@ def test_files_that_cannot_be_read(tmp_path):
         FileSource(tmp_path / 'x.mcap').load()
 
 
+def test_seconds_with_commas_are_read_where_the_format_is_said(tmp_path, track):
+    path = _write(tmp_path / 'a.csv', [row.replace(' ', ',') for row in _tum_rows(*track)])
+    with pytest.raises(SourceError, match=r'say that the format is tum \(--format-a, --format-b'):
+        FileSource(path).load()
+    _expect(FileSource(path, 'tum').load(), track)
+
+
+@pytest.mark.parametrize('separator', [' ', ','])
+@pytest.mark.parametrize('file_format', [None, 'tum'])
+def test_a_heading_needs_a_mark(tmp_path, track, separator, file_format):
+    rows = ['t x y z qx qy qz qw', *_tum_rows(*track)]
+    path = _write(tmp_path / 'a.txt', [row.replace(' ', separator) for row in rows])
+    with pytest.raises(SourceError, match=r'line 1: .*; put # before a heading; found'):
+        FileSource(path, file_format).load()
+
+
+@pytest.mark.parametrize('pack', [gzip.compress, bz2.compress, lzma.compress])
+def test_a_compressed_file_is_to_be_unpacked(tmp_path, track, pack):
+    path = tmp_path / 'a.tum'
+    path.write_bytes(pack('\n'.join(_tum_rows(*track)).encode()))
+    with pytest.raises(SourceError, match=r'a\.tum is compressed; unpack it first'):
+        FileSource(path).load()
+
+
+@pytest.mark.parametrize('name', ['/trajectory_a', '/lidar/odometry'])
+def test_a_topic_needs_its_bag(tmp_path, name):
+    with pytest.raises(SourceError, match='directory; if it is a topic, give its bag with --bag'):
+        FileSource(Path(name)).load()
+    with pytest.raises(SourceError, match=r'No such file or directory$'):
+        FileSource(tmp_path / 'a').load()
+
+
 def test_format_can_be_forced(tmp_path, track):
     path = _write(tmp_path / 'a.txt', _tum_rows(*track))
     with pytest.raises(SourceError, match='line 1: 8 columns, needed 12'):
@@ -202,7 +241,8 @@ def test_format_can_be_forced(tmp_path, track):
 def test_kitti_needs_as_many_times_as_poses(tmp_path):
     pose = '1 0 0 0 0 1 0 0 0 0 1 0'
     path = _write(tmp_path / 'poses.txt', [pose] * 4)
-    with pytest.raises(SourceError, match='carry no time; give the file of their times'):
+    with pytest.raises(SourceError, match=(
+            r'carry no time; give the file of their times .*\(--times-a, --times-b; --times of')):
         FileSource(path).load()
     with pytest.raises(SourceError, match=r'holds 4 poses and .* 3 times'):
         FileSource(path, times=_write(tmp_path / 't.txt', ['0', '1', '2'])).load()
@@ -284,3 +324,21 @@ def test_published_ground_truth(shared_data):
     truth = read_transform(
         shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt')
     np.testing.assert_array_equal(truth[:3, 3], [0.334, -0.005, -0.076])
+
+
+def test_the_sample_of_the_readme_runs_on_what_its_commands_make(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parents[1] / 'README.md').read_text(encoding='utf-8')
+    (command,) = re.findall(r'^ +trajectory_calibration (simulate .*)$', readme, re.MULTILINE)
+    assert main(shlex.split(command)) == 0
+    (sample,) = re.findall(r'```python\n(.*?)```', readme, re.DOTALL)
+    names = {}
+    exec(sample, names)
+    truth = read_transform('drive/truth.tum')
+    assert names['result'].absolute_errors(truth).e_at < 0.05
+    assert (names['result'].frame_a, names['result'].frame_b) == ('lidar', 'camera')
+
+
+def test_a_format_that_is_none_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match=r"'csv' is unknown; needed one of tum, kitti, euroc"):
+        FileSource(tmp_path / 'a', 'csv').load()

@@ -131,6 +131,10 @@ def test_refuses_positions_that_are_no_numbers(poses):
         Trajectory.from_quaternions(stamps(2), [[1, 2, 3], [1]], q[:2])
     with pytest.raises(TrajectoryError, match='stamps are'):
         Trajectory([[1, 2], [3]], poses)
+    with pytest.raises(TrajectoryError, match='stamps are'):
+        Trajectory.from_quaternions([[1, 2], [3]], poses[:2, :3, 3], q[:2])
+    with pytest.raises(TrajectoryError, match='positions are no array of numbers'):
+        Trajectory.from_quaternions(stamps(2), [[10**400, 2, 3], [1, 2, 3]], q[:2])
     with pytest.raises(TrajectoryError, match='quaternions are complex'):
         Trajectory.from_quaternions(stamps(10), poses[:, :3, 3], q * 1j)
 

@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.errors import AssociationError, ConfigError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
+
+METHODS = ('auto', 'interpolate', 'nearest')
 
 # Two relative motions need three poses; below, no solver has anything to work on.
 MIN_PAIRS = 3
@@ -133,8 +135,12 @@ def associate(
     ------
     AssociationError
         No overlap in time, or fewer than three pairs.
+    ConfigError
+        An unknown method.
 
     """
+    if method not in METHODS:
+        raise ConfigError(f'method {method!r} is unknown; needed one of {", ".join(METHODS)}')
     if method == 'nearest':
         return associate_nearest(
             a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)

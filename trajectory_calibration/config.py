@@ -11,10 +11,14 @@ from dataclasses import asdict, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
 
+from trajectory_calibration.association import METHODS
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.motions import AUTOMATIC, parse_reference, REFERENCE_HELP
+from trajectory_calibration.motions import normal_reference, REFERENCE_HELP
 from trajectory_calibration.priors import parse_prior, Prior
 from trajectory_calibration.solvers import SOLVER_NAMES
+
+# More than a float holds, and than Python writes.
+_MOST_BITS = 1000
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,8 @@ class Option:
         Numbers of NumPy, which registers its types as these, become Python's own. A number for
         a text is its text: YAML and ROS make one of what a person types as '0.01'.
         """
+        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+            raise ConfigError(f'{self.name} is an integer of too many digits')
         number = {float: Real, int: Integral}.get(self.kind)
         if number is not None and isinstance(value, number) and not isinstance(value, bool):
             value = self._convert(value)
@@ -99,7 +105,7 @@ class CalibrationConfig:
         'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
         'the nearest, or (auto) interpolate whichever has more poses a second, but keep to '
         'coinciding stamps where most are',
-        choices=('auto', 'interpolate', 'nearest'))
+        choices=METHODS)
     max_gap: float = _option(
         0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)
     max_time_difference: float = _option(
@@ -108,14 +114,15 @@ class CalibrationConfig:
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
-        'auto', f'{_MODES}, unless time_offset is given', choices=MODES)
+        'auto', f'{_MODES}, unless time_offset is other than 0', choices=MODES)
     max_time_offset: float = _option(
         5.0, 'largest clock offset that is looked for around time_offset, seconds',
         minimum=0.0, maximum=3600.0)
     scale: float = _option(
         1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
     scale_mode: str = _option(
-        'auto', f'{_MODES}, unless scale is given; only drift_aware finds it', choices=MODES)
+        'auto', f'{_MODES}, unless scale is other than 1; only drift_aware finds it',
+        choices=MODES)
     systematic_drift_mode: str = _option(
         'auto', 'constant drift of b per metre along its axes; only drift_aware finds it: '
         f'{_MODES}', choices=MODES)
@@ -131,31 +138,34 @@ class CalibrationConfig:
     prior_translation: str = _option(
         '', 'known position of b in a, metres: x,y,z with - for an unknown one; empty: none')
     prior_translation_std: str = _option(
-        '', 'its standard deviations, metres: one number, or x,y,z; 0 fixes a component')
+        '', 'standard deviations of prior_translation, metres: one number, or x,y,z; 0 fixes a '
+        'component')
     prior_rotation: str = _option(
         '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
     prior_rotation_std: str = _option(
-        '', 'its standard deviations about x,y,z of a, degrees: one number, or three with - for '
-        'an unknown one; 0 fixes')
+        '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
+        'three with - for an unknown one; 0 fixes')
     allow_unobserved: bool = _option(
-        default=False, text='answer also where the motion leaves a direction open; that direction '
-        'is then zero or the prior, and marked unobserved')
+        default=False, text='answer also where the motion determines nothing or leaves a '
+        'direction exactly open, which is then zero or the prior, and let the node publish '
+        'directions that are not observed; those are marked with and without it')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
         'metres', minimum=0.0, maximum=1e3)
     weak_rotation: float = _option(
-        0.5, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+        0.5, 'standard deviation above which a direction of the rotation is called weak, degrees',
+        minimum=0.0, maximum=180.0)
     unobserved_translation: float = _option(
         0.5, 'standard deviation above which a direction of the translation is called '
         'unobserved, metres', minimum=0.0, maximum=1e3)
     unobserved_rotation: float = _option(
-        5.0, 'the same of the rotation, degrees', minimum=0.0, maximum=180.0)
+        5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
+        'degrees', minimum=0.0, maximum=180.0)
 
     def __post_init__(self) -> None:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
-        if self.reference != AUTOMATIC:
-            parse_reference(self.reference)
+        object.__setattr__(self, 'reference', normal_reference(self.reference))
         for term in ('scale', 'systematic_drift'):
             if self.mode(term) == 'estimate' and self.solver != 'drift_aware':
                 raise ConfigError(

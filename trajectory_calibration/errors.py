@@ -6,6 +6,9 @@ command line can print it as it is and the node can answer a service call with i
 
 from __future__ import annotations
 
+# First names of modules that several packages share; "pip install ruamel" installs nothing.
+_SHARED = {'ruamel': 'ruamel.yaml', 'backports': 'backports.zstd'}
+
 
 class CalibrationError(Exception):
     """Base of all named failures: catch this one to catch them all."""
@@ -41,3 +44,12 @@ class SolverError(CalibrationError):
 
 class ResultError(CalibrationError):
     """A saved result cannot be read or written."""
+
+
+def pip_name(error: ModuleNotFoundError) -> str:
+    """Return the name by which pip installs what an import did not find.
+
+    A module of this package that is missing is a broken installation of it.
+    """
+    name = str(error.name).partition('.')[0]
+    return _SHARED.get(name, name)

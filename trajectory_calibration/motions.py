@@ -68,10 +68,25 @@ def parse_reference(reference: str) -> tuple[str, int]:
         For anything else than 'A', 'B<n>' or 'C<n>' with n >= 1.
 
     """
-    match = re.fullmatch(r'(A)|([BC])([1-9]\d*)', reference.strip().upper())
+    match = re.fullmatch(r'(A)|([BC])([1-9]\d{0,99})', reference.strip().upper())
     if match is None:
         raise ConfigError(f'reference {reference!r} is unknown; needed {REFERENCE_HELP}')
     return (match[1], 0) if match[1] else (match[2], int(match[3]))
+
+
+def normal_reference(reference: str) -> str:
+    """Return the one way of writing a reference: 'B7' of ' b7', 'auto' of 'AUTO'.
+
+    Raises
+    ------
+    ConfigError
+        As ``parse_reference``, but for 'auto'.
+
+    """
+    if reference.strip().lower() == AUTOMATIC:
+        return AUTOMATIC
+    letter, n = parse_reference(reference)
+    return f'{letter}{n}' if n else letter
 
 
 def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -123,9 +138,8 @@ def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:
 
     """
     i, j = reference_indices(reference, len(pairs))
-    letter, n = parse_reference(reference)
     return MotionPairs(
-        reference=f'{letter}{n}' if n else letter,
+        reference=normal_reference(reference),
         i=i,
         j=j,
         A=se3.inverse(pairs.poses_a[i]) @ pairs.poses_a[j],

@@ -34,6 +34,9 @@ _SINGLE = 0.5
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
 
+# No two sensors of one vehicle are farther apart, metres: what is known no better is unknown.
+_APART = 10.0
+
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
 
@@ -100,11 +103,16 @@ class Observability:
             'excitation_deg': list(self.excitation_deg),
             'translation_gain': list(self.translation_gain),
             'translation_axes': [list(axis) for axis in self.translation_axes],
+            'warnings': list(self.warnings),
         }
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Observability:
         """Rebuild from ``to_dict``."""
+        # Older files hold these among the warnings of the result only.
+        warnings = data.get('warnings', [])
+        if not isinstance(warnings, list):
+            raise TypeError(f'warnings: found {warnings!r}, needed a list of sentences')
         return cls(
             {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
             tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
@@ -112,7 +120,8 @@ class Observability:
                   for item in data['weak_axes']),
             tuple(map(float, data['excitation_deg'])),
             tuple(map(float, data['translation_gain'])),
-            tuple(tuple(map(float, axis)) for axis in data['translation_axes']))
+            tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
+            tuple(map(str, warnings)))
 
 
 def observe(
@@ -166,8 +175,8 @@ def require_observed(observability: Observability) -> None:
         return
     raise MotionError(
         'the motion determines nothing of the extrinsic: in no direction is it known better than '
-        f'to {best["translation"]:.2g} m or {min(best["rotation"], 180.0):.2g} deg; drive curves, '
-        'and a ramp or a bank (allow_unobserved shows the answer)')
+        f'to {min(best["translation"], _APART):.2g} m or {min(best["rotation"], 180.0):.3g} deg; '
+        'drive curves, and a ramp or a bank (allow_unobserved shows the answer)')
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:

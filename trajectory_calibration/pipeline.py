@@ -9,7 +9,7 @@ import numpy as np
 from trajectory_calibration.agreement import parted_steps, require_agreement
 from trajectory_calibration.association import associate, AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import SolverError
+from trajectory_calibration.errors import SolverError, TrajectoryError
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe, require_observed
@@ -50,9 +50,15 @@ def calibrate(
     ------
     CalibrationError
         One of its subclasses: AssociationError (no common time), MotionError (the motion does
-        not determine the extrinsic), SolverError (no minimum found), ConfigError.
+        not determine the extrinsic), SolverError (no minimum found), ConfigError,
+        TrajectoryError (no trajectory was given).
 
     """
+    for name, given in (('trajectory_a', trajectory_a), ('trajectory_b', trajectory_b)):
+        if not isinstance(given, Trajectory):
+            raise TrajectoryError(
+                f'{name} is of type {type(given).__name__}, needed a Trajectory; build one from '
+                'stamps and poses, or load a file with FileSource')
     config = config or CalibrationConfig()
     solve = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)

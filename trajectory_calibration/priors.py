@@ -175,8 +175,8 @@ def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray
         return np.full(3, np.nan), np.full(3, np.inf)
     if not std.strip():
         raise ConfigError(
-            f'{name}_std is empty, but {name} is {values!r}, needed both; set {name}_std first, '
-            'clear it last')
+            f'{name}_std is empty, but {name} is {values!r}, needed both; give {name}_std too (of '
+            f'a running node, set {name}_std first and clear it last)')
     value = _three(name, values) if values.strip() else np.full(3, np.nan)
     width = _three(f'{name}_std', std)
     if (width < 0).any():

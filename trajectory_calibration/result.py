@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 import errno
 from io import StringIO
@@ -9,7 +10,7 @@ import os
 from pathlib import Path
 import re
 from secrets import token_hex
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,12 +21,18 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.metrics import absolute_errors, AbsoluteErrors, RelativeErrors
 from trajectory_calibration.observability import Observability
+from trajectory_calibration.reading import read_yaml
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import ROTATION_TOLERANCE
 from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
 FORMAT_VERSION = 1
+
+# Poses or motions of a result: more than any memory holds are a spoilt file.
+_LARGEST_COUNT = 10**9
+
+_T = TypeVar('_T')
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,25 +162,25 @@ class CalibrationResult:
                 T_a_b=se3.from_rotation_translation(rotation, _finite(pose['translation'], (3,))),
                 covariance=None if covariance is None else _covariance(covariance),
                 metrics=RelativeErrors(
-                    float(data['e_rt_m']), float(np.deg2rad(data['e_rR_deg']))),
-                poses=int(data['poses']),
-                motions=int(data['motions']),
-                inliers=None if ranges is None else _mask(ranges, int(data['motions'])),
+                    _number(data['e_rt_m']), float(np.deg2rad(_number(data['e_rR_deg'])))),
+                poses=_count(data['poses']),
+                motions=_count(data['motions']),
+                inliers=None if ranges is None else _mask(ranges, _count(data['motions'])),
                 observability=Observability.from_dict(data['observability']),
-                association=AssociationSummary(**{
-                    item.name: data['association'][item.name]
-                    for item in fields(AssociationSummary)}),
-                config=CalibrationConfig.from_dict(data['config']),
-                warnings=tuple(data['warnings']),
-                scale=float(data['scale']),
-                time_offset_s=float(data['time_offset_s']),
-                diagnosis=data['diagnosis'],
+                association=_association(data['association']),
+                config=CalibrationConfig.from_dict(_of_kind(dict, data['config'])),
+                warnings=tuple(_of_kind(str, item)
+                               for item in _of_kind(list, data['warnings'])),
+                scale=_number(data['scale']),
+                time_offset_s=_number(data['time_offset_s']),
+                diagnosis=_optional(dict, data['diagnosis']),
                 reference=str(data['reference']),
-                reference_choice=data['reference_choice'],
-                optimality_gap=data['optimality_gap'],
+                reference_choice=_optional(str, data['reference_choice']),
+                optimality_gap=(None if data['optimality_gap'] is None
+                                else _number(data['optimality_gap'])),
                 version=str(data['package_version']),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             if isinstance(error, CalibrationError):
                 raise ResultError(f'not a calibration result: {error}') from error
             raise ResultError(
@@ -201,13 +208,7 @@ class CalibrationResult:
             No such file, not YAML, or not a result.
 
         """
-        # The YAML library loads here because most uses of a result never touch a file.
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-        try:
-            data = YAML(typ='safe', pure=True).load(Path(path).read_text(encoding='utf-8'))
-        except (OSError, UnicodeDecodeError, YAMLError) as error:
-            raise ResultError(f'{path} cannot be read as a result: {error}') from error
+        data = read_yaml(Path(path), 'a result', ResultError)
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no calibration result; needed what save() wrote')
         return cls.from_dict(data)
@@ -240,9 +241,9 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         The file cannot be written.
 
     """
-    temporary = path.with_name(f'.{path.name}.{token_hex(8) if overwrite else "new"}')
     created = False
     try:
+        temporary = path.with_name(f'.{path.name}.{token_hex(8) if overwrite else "new"}')
         # Not through ``tempfile``, whose files are private: the kernel gives this one the
         # permissions of any new file of this user.
         with temporary.open('x', encoding='utf-8') as stream:
@@ -258,6 +259,9 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         raise
     except OSError as error:
         raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+    except ValueError as error:
+        # A path without a name, or with a zero byte in it.
+        raise ResultError(f'{str(path)!r} cannot be written: {error}') from error
     finally:
         if created:
             temporary.unlink(missing_ok=True)
@@ -266,6 +270,37 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
 def _require_absent(path: Path) -> None:
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+
+
+def _of_kind(kind: type[_T], value: Any) -> _T:
+    # A bool is an int to Python, and no count to anybody else.
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise TypeError(f'found {value!r}, needed a value of type {kind.__name__}')
+    return value
+
+
+def _optional(kind: type[_T], value: Any) -> _T | None:
+    return None if value is None else _of_kind(kind, value)
+
+
+def _number(value: Any) -> float:
+    number = float(_of_kind(float, float(value) if type(value) is int else value))
+    if not np.isfinite(number):
+        raise ValueError(f'found {number}, needed a finite number')
+    return number
+
+
+def _count(value: Any) -> int:
+    count = _of_kind(int, value)
+    if not 0 <= count <= _LARGEST_COUNT:
+        raise ValueError(f'found {count}, needed a number from 0 to {_LARGEST_COUNT}')
+    return count
+
+
+def _association(data: Any) -> AssociationSummary:
+    read: dict[str, Callable[[Any], Any]] = {'str': str, 'int': _count, 'float': _number}
+    return AssociationSummary(**{
+        item.name: read[str(item.type)](data[item.name]) for item in fields(AssociationSummary)})
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:

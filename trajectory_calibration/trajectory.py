@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,7 +105,7 @@ class Trajectory:
         if note:
             warnings = (*warnings, f'{sensor_frame}: {note}')
         R = se3.quaternion_to_rotation(q / norm[:, None])
-        return cls(np.asarray(stamps_ns), se3.from_rotation_translation(R, p),
+        return cls(_stamp_array(stamps_ns), se3.from_rotation_translation(R, p),
                    world_frame, sensor_frame, warnings)
 
     def __len__(self) -> int:
@@ -142,22 +143,27 @@ def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
         if np.iscomplexobj(array):
             raise TrajectoryError(f'{what} are complex, needed real numbers: {needed}')
         return np.array(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (OverflowError, TypeError, ValueError) as error:
         if isinstance(error, TrajectoryError):
             raise
         raise TrajectoryError(
             f'{what} are no array of numbers ({error}), needed {needed}') from error
 
 
+def _stamp_array(stamps: ArrayLike) -> NDArray[Any]:
+    """Return what was given as an array; raise TrajectoryError for rows of unequal length."""
+    try:
+        return np.asarray(stamps)
+    except ValueError as error:
+        raise TrajectoryError(
+            f'stamps are no array of numbers ({error}), needed one integer per pose') from error
+
+
 def _checked_stamps(
     stamps: ArrayLike,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, list[str]]:
     """Return the stamps, the order that sorts them and drops duplicates (or None), and notes."""
-    try:
-        array = np.asarray(stamps)
-    except ValueError as error:
-        raise TrajectoryError(
-            f'stamps are no array of numbers ({error}), needed one integer per pose') from error
+    array = _stamp_array(stamps)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
         raise TrajectoryError(
             f'stamps are {array.dtype} of shape {array.shape}, needed one-dimensional integer '

@@ -31,6 +31,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _add_paper(experiments: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     paper = experiments.add_parser(
         'paper', help='all solvers at all references under noise, outliers, drift, their mixture',
+        usage='%(prog)s [options]',
         description='Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023, section IV: '
         'every solver at references A, B1, B5, B10, C5, C10 over 19 conditions. Writes runs.csv, '
         'summary.csv, figures and summary.md. The same command continues a run that was cut off.')
@@ -58,6 +59,7 @@ def _add_paper(experiments: argparse._SubParsersAction[argparse.ArgumentParser])
 def _add_repeat(experiments: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     repeat = experiments.add_parser(
         'repeat', help='calibrate each of many bags of the same sensors, and compare',
+        usage='%(prog)s [options] A B BAG [BAG ...]',
         description='Calibrate each bag by itself. Prints CSV with one row for a bag, and on '
         'standard error how far the answers scatter.')
     repeat.add_argument('a', metavar='A', help='topic of sensor a, the parent')

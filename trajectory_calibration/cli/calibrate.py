@@ -15,6 +15,7 @@ from trajectory_calibration.result import CalibrationResult, to_yaml, write_yaml
 from trajectory_calibration.se3 import FloatArray, rotation_to_quaternion
 from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.writing import write_text
 
 RESULT_FILE = 'result.yaml'
 TRANSFORM_FILE = 'T_a_b.txt'
@@ -24,6 +25,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'calibrate', help='find the extrinsic of two trajectories',
+        usage='%(prog)s [options] A B',
         description='Find the pose of sensor b in sensor a from two trajectories.')
     parser.add_argument('a', metavar='A', help='file of sensor a, the parent; a topic with --bag')
     parser.add_argument('b', metavar='B', help='file of sensor b, the child; a topic with --bag')
@@ -77,11 +79,12 @@ def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
     if _same_file(arguments.a, arguments.b):
         raise ConfigError(
             f'A and B, {arguments.a} and {arguments.b}, are the same file; needed two sensors')
-    return (
-        FileSource(Path(arguments.a), arguments.format_a, arguments.times_a,
-                   arguments.frame_a or 'sensor_a').load(),
-        FileSource(Path(arguments.b), arguments.format_b, arguments.times_b,
-                   arguments.frame_b or 'sensor_b').load())
+    with running_clock('reading'):
+        return (
+            FileSource(Path(arguments.a), arguments.format_a, arguments.times_a,
+                       arguments.frame_a or 'sensor_a').load(),
+            FileSource(Path(arguments.b), arguments.format_b, arguments.times_b,
+                       arguments.frame_b or 'sensor_b').load())
 
 
 def _same_file(a: str, b: str) -> bool:
@@ -107,19 +110,22 @@ def _load_topics(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]
 
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
-    """Write the result, and the bare transform as one row that other tools read."""
+    """Write the result, then the bare transform as one row that other tools read."""
     t, q = result.T_a_b[:3, 3], rotation_to_quaternion(result.T_a_b[:3, :3])
-    row = ' '.join(f'{value:.9f}' for value in (*t, *q))
+    lines = [f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw']
+    if result.observability.unobserved:
+        lines.append(f'# not observed: {", ".join(result.observability.unobserved)}')
+    lines.append(f'0 {" ".join(f"{value:.9f}" for value in (*t, *q))}')
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / TRANSFORM_FILE).write_text(
-            f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
-            f'0 {row}\n', encoding='utf-8')
+        write_yaml(folder / RESULT_FILE, result.to_dict(truth))
+        write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
     except OSError as error:
         raise ResultError(
             f'{folder} cannot be written: {error.strerror or error}; give another --output'
         ) from error
-    write_yaml(folder / RESULT_FILE, result.to_dict(truth))
+    except ResultError as error:
+        raise ResultError(f'{error}; give another --output') from error
 
 
 def _print(result: CalibrationResult, truth: FloatArray | None, output_format: str) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 import json
 from pathlib import Path
-import sys
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.report.inspection import inspect_trajectory
 from trajectory_calibration.report.text import format_inspection
@@ -22,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'inspect', help='show what is in a bag or a file, and whether its motion suffices',
+        usage='%(prog)s [options] PATH [PATH ...]',
         description='Show the trajectories in bags and files: counts, rates, gaps, frames, and '
                     'whether their motion can determine an extrinsic.')
     parser.add_argument('paths', metavar='PATH', nargs='+', type=Path, help='bag or file')
@@ -44,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         print('\n'.join(format_inspection(item) for item in inputs), end='')
     if errors:
         # What was found comes first, also where both go to one terminal.
-        sys.stdout.flush()
+        print(end='', flush=True)
         raise SourceError('; '.join(map(str, errors)))
     return 0
 
@@ -60,7 +61,8 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
 
 
 def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
-    trajectory = FileSource(path, file_format, times, path.name).load()
+    with running_clock('reading'):
+        trajectory = FileSource(path, file_format, times, path.name).load()
     # No format of files names its frames.
     found = {**inspect_trajectory(trajectory, str(path), 'file').to_dict(),
              'sensor_frame': None, 'world_frame': None}
@@ -81,7 +83,10 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
         others = [channel._asdict() for channel in reader.channels
                   if channel.topic not in serving]
         notes = reader.notes
-    found = [_inspect_topic(track) for track in tracks.values()]
+    # The notes stand above all topics, so not once more with one of them.
+    found = [_inspect_topic(replace(track, warnings=tuple(
+        warning for warning in track.warnings if warning not in notes)))
+        for track in tracks.values()]
     return {'path': str(path), 'notes': notes,
             'trajectories': [item for item in found if 'error' not in item],
             'other': [item for item in found if 'error' in item] + others}

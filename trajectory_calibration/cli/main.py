@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
+import io
 import os
 import sys
 
 from trajectory_calibration.cli import benchmark, calibrate, inspect, replay, simulate
 from trajectory_calibration.cli.options import join_negative_values
-from trajectory_calibration.errors import CalibrationError, ConfigError
+from trajectory_calibration.errors import CalibrationError, ConfigError, pip_name
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
@@ -37,25 +39,51 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 done, 1 the data cannot give an answer, 2 wrong usage.
 
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name of a frame that the terminal has no characters for is no reason to end.
+        sys.stdout.reconfigure(errors='backslashreplace')
     try:
-        arguments = _parser().parse_args(
-            join_negative_values(sys.argv[1:] if argv is None else argv))
-    except SystemExit as exit_:
-        return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
-    try:
-        status: int = arguments.run(arguments)
-        sys.stdout.flush()
+        status = _run(sys.argv[1:] if argv is None else argv)
+        # Unlike sys.stdout.flush(), this also goes where standard output is closed.
+        print(end='', flush=True)
     except CalibrationError as error:
-        print(f'error: {" ".join(str(error).split())}', file=sys.stderr)
-        return EXIT_USAGE if isinstance(error, ConfigError) else EXIT_NO_ANSWER
+        return _fail(str(error), EXIT_USAGE if isinstance(error, ConfigError) else EXIT_NO_ANSWER)
+    except ModuleNotFoundError as error:
+        package = pip_name(error)
+        return _fail(f'{package} is not installed; pip install {package}', EXIT_NO_ANSWER)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader, head for instance, has seen enough. Python flushes standard output once
-        # more at exit; give it a place where that succeeds.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader, head for instance, has seen enough.
+        _discard_output()
         return EXIT_DONE
+    except OSError as error:
+        if error.filename is not None:
+            return _fail(f'{error.filename}: {error.strerror}', EXIT_NO_ANSWER)
+        _discard_output()
+        return _fail(f'standard output cannot be written: {error.strerror or error}; free space, '
+                     'or write elsewhere', EXIT_NO_ANSWER)
     return status
+
+
+def _run(argv: Sequence[str]) -> int:
+    try:
+        arguments = _parser().parse_args(join_negative_values(argv))
+    except SystemExit as exit_:
+        return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
+    status: int = arguments.run(arguments)
+    return status
+
+
+def _fail(reason: str, status: int) -> int:
+    print(f'error: {" ".join(reason.split())}', file=sys.stderr)
+    return status
+
+
+def _discard_output() -> None:
+    """Give Python, which flushes standard output once more at exit, a place where that works."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,6 +10,7 @@ from typing import Any
 
 from trajectory_calibration.config import CalibrationConfig, Option
 from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.reading import read_yaml
 
 # What begins like an option and is none: -90,0,-90; -,-,0.42; -1e-3; -inf. No option of ours does.
 _NEGATIVE = re.compile(r'-([\d.,\s].*|inf|nan)?', re.DOTALL | re.IGNORECASE)
@@ -77,13 +78,7 @@ def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
 
 
 def _read_settings(path: Path) -> dict[str, Any]:
-    # The YAML library loads here because most runs need none.
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-    try:
-        data = YAML(typ='safe', pure=True).load(path.read_text(encoding='utf-8'))
-    except (OSError, UnicodeDecodeError, YAMLError) as error:
-        raise ConfigError(f'{path} cannot be read as settings: {error}') from error
+    data = read_yaml(path, 'settings', ConfigError)
     if isinstance(data, dict) and 'format_version' in data:
         data = data.get('config')
     if not isinstance(data, dict):

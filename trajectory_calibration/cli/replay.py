@@ -10,6 +10,7 @@ from typing import Any
 
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.errors import ConfigError, TopicError
+from trajectory_calibration.reading import parse_yaml, read_yaml
 from trajectory_calibration.result import to_yaml
 
 _NODE_NAME = 'trajectory_calibration'
@@ -19,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'replay', help="give a bag to the node's buffers and calibrate as the node would",
+        usage='%(prog)s [options] BAG [BAG ...]',
         description="Feed a bag to the node's buffers at full speed and print the answer that "
         'the node gives after it received the same messages.')
     parser.add_argument(
@@ -69,36 +71,28 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[str, Any]:
     """Return the parameters of files, overridden by assignments, unchecked."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-    yaml = YAML(typ='safe', pure=True)
     values: dict[str, Any] = {}
     for path in files:
-        try:
-            document = yaml.load(path.read_text(encoding='utf-8'))
-        except (OSError, UnicodeDecodeError, YAMLError) as error:
-            raise ConfigError(f'{path} cannot be read as parameters: {error}') from error
-        values.update(_of_the_node(document, path))
+        values.update(_of_the_node(read_yaml(path, 'parameters', ConfigError), path))
     for assignment in assignments:
         name, separator, text = assignment.partition(':=')
         if not separator:
             raise ConfigError(f'-p {assignment!r} is no parameter; needed NAME:=VALUE')
-        try:
-            values[name] = yaml.load(text)
-        except YAMLError as error:
-            raise ConfigError(f'-p {assignment!r} cannot be read: {error}') from error
+        values[name] = parse_yaml(text, f'-p {assignment!r} cannot be read', ConfigError)
     return values
 
 
 def _of_the_node(document: Any, path: Path) -> dict[str, Any]:
     """Return the parameters for any node, then those under the node's own name."""
     values: dict[str, Any] = {}
-    try:
-        for key in sorted(document, key=lambda key: key != '/**'):
-            if key == '/**' or key.rpartition('/')[2] == _NODE_NAME:
-                values.update(document[key]['ros__parameters'])
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f'{path} holds no parameters of {_NODE_NAME}; needed them under '
-            '"/**:" and "ros__parameters:" as in config/calibration.yaml') from error
+    nodes = document if isinstance(document, dict) else {'/**': None}
+    for key in sorted(map(str, nodes), key=lambda key: key != '/**'):
+        if key == '/**' or key.rpartition('/')[2] == _NODE_NAME:
+            node = nodes[key]
+            given = node.get('ros__parameters') if isinstance(node, dict) else None
+            if not isinstance(given, dict):
+                raise ConfigError(
+                    f'{path} holds no parameters of {_NODE_NAME}; needed them under '
+                    '"/**:" and "ros__parameters:" as in config/calibration.yaml')
+            values.update((str(name), value) for name, value in given.items())
     return values

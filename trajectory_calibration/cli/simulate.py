@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import fields, replace
 from pathlib import Path
+import shlex
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import running_clock
@@ -13,7 +14,9 @@ from trajectory_calibration.errors import ConfigError, SourceError
 if TYPE_CHECKING:
     from trajectory_calibration.simulation import Noise, Scenario, SimulatedPair
 
+# Not taken from simulation.files, which would load with every command; a test compares.
 FORMATS = ('tum', 'mcap', 'sqlite3')
+MESSAGES = ('odometry', 'pose_stamped')
 TOPICS = ('/trajectory_a', '/trajectory_b')
 
 
@@ -21,6 +24,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'simulate', help='make two trajectories with a known extrinsic',
+        usage='%(prog)s [options] --output DIR',
         description='Simulate two sensors on one base, and what their SLAM makes of the motion. '
         'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
     parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
@@ -46,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--format', choices=FORMATS, default='tum', help='of the trajectories (default: tum)')
     parser.add_argument(
-        '--message', choices=('odometry', 'pose_stamped'), default='odometry',
+        '--message', choices=MESSAGES, default='odometry',
         help='type of the messages in a bag (default: odometry)')
     parser.set_defaults(run=run)
 
@@ -122,15 +126,16 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
         raise SourceError(f'{folder} cannot be made: {error.strerror or error}') from error
     truth = folder / 'truth.tum'
     if arguments.format == 'tum':
-        inputs = f'{folder / "a.tum"} {folder / "b.tum"}'
+        inputs: list[Path | str] = [folder / 'a.tum', folder / 'b.tum']
         write_tum(folder / 'a.tum', pair.a)
         write_tum(folder / 'b.tum', pair.b)
     else:
         bag = folder / 'bag'
-        inputs = f'--bag {bag} {" ".join(TOPICS)}'
+        inputs = ['--bag', bag, *TOPICS]
         write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
                   message=arguments.message, storage=arguments.format)
     write_transform(truth, pair.T_a_b)
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
-    clocks = f' --time-offset {offset:.12g}' if offset else ''
-    return f'trajectory_calibration calibrate {inputs} --ground-truth {truth}{clocks}'
+    clocks = ['--time-offset', f'{offset:.12g}'] if offset else []
+    return shlex.join(map(str, [
+        'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', truth, *clocks]))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration import se3
+from trajectory_calibration.excitation import UNKNOWN
 from trajectory_calibration.observability import Observability, OBSERVED
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.se3 import FloatArray
@@ -16,6 +17,8 @@ from trajectory_calibration.se3 import FloatArray
 # Columns of a terminal, and of them the most that a label takes: a longer one has its own line.
 _WIDTH = 80
 _LONGEST_LABEL = 30
+
+_KNOWN = 0.5 * UNKNOWN
 
 
 def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = None) -> str:
@@ -28,9 +31,10 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         'rotation': f'{_named(roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
     }
     if result.covariance is not None:
-        sigma = np.sqrt(np.maximum(np.diagonal(result.covariance), 0.0))
-        rows['1 sigma along'] = f'{_named(sigma[:3], "xyz", 4)} m'
-        rows['1 sigma about'] = f'{_named(np.rad2deg(sigma[3:]), "xyz", 3)} deg'
+        words = [f'{name} {word}' for name, word in zip(
+            'xyzxyz', deviation_words(result.covariance), strict=True)]
+        rows['1 sigma along'] = f'{"  ".join(words[:3])} m'
+        rows['1 sigma about'] = f'{"  ".join(words[3:])} deg'
     rows['observed'] = _describe_status(result.observability)
     reference = result.reference or result.config.reference
     rows['relative error'] = (
@@ -56,6 +60,20 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     lines.append(f'Pose of {b} in {a}')
     lines += _aligned(rows)
     return '\n'.join(lines) + '\n'
+
+
+def deviation_words(covariance: FloatArray) -> list[str]:
+    """Return the six standard deviations of a (6, 6) covariance, metres and degrees.
+
+    From half of what stands for a direction of which nothing is known on, the number says no
+    more than 'unknown'.
+    """
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    words = [_fixed(value, 4) for value in sigma[:3]]
+    words += [_fixed(value, 3) for value in np.rad2deg(sigma[3:])]
+    # Written so that NaN is unknown.
+    known = sigma < _KNOWN
+    return [word if is_known else 'unknown' for word, is_known in zip(words, known, strict=True)]
 
 
 def format_inspection(found: dict[str, Any]) -> str:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration import se3
+from trajectory_calibration.report.text import deviation_words
 from trajectory_calibration.result import CalibrationResult
-
-# A standard deviation beyond these stands for a direction of which nothing is known.
-_UNKNOWN_M, _UNKNOWN_DEG = 100.0, 90.0
 
 # Begins every line but the first. ``ros2 service call`` prints a line break as the two
 # characters \n; the dash keeps the lines apart there, too.
@@ -27,13 +25,8 @@ def deviations(result: CalibrationResult) -> str:
     """Return the standard deviations in one line, '' where the solver gave none."""
     if result.covariance is None:
         return ''
-    sigma = np.sqrt(np.diag(result.covariance))
-    metres = ', '.join(
-        f'{value:.4f}' if value < _UNKNOWN_M else 'unknown' for value in sigma[:3])
-    degrees = ', '.join(
-        f'{value:.3f}' if value < _UNKNOWN_DEG else 'unknown'
-        for value in np.rad2deg(sigma[3:]))
-    return f'[{metres}] m, about xyz [{degrees}] deg'
+    words = deviation_words(result.covariance)
+    return f'[{", ".join(words[:3])}] m, about xyz [{", ".join(words[3:])}] deg'
 
 
 def describe(result: CalibrationResult, file: str = '') -> str:

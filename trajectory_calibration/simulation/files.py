@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration import se3
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import ConfigError, SourceError
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.writing import write_text
 
-STORAGES = ('mcap', 'sqlite3')
-MESSAGES = ('odometry', 'pose_stamped')
-
 _TYPES = {'odometry': 'nav_msgs/msg/Odometry', 'pose_stamped': 'geometry_msgs/msg/PoseStamped'}
+
+STORAGES = ('mcap', 'sqlite3')
+MESSAGES = tuple(_TYPES)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -74,10 +74,15 @@ def write_bag(
 
     Raises
     ------
+    ConfigError
+        An unknown type of message or format.
     SourceError
         The bag cannot be written.
 
     """
+    for what, given, known in (('message', message, MESSAGES), ('storage', storage, STORAGES)):
+        if given not in known:
+            raise ConfigError(f'{what} {given!r} is unknown; needed one of {", ".join(known)}')
     # The bag library loads here because most uses of the simulator stay in memory.
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
     from rosbags.typesys import get_typestore, Stores
@@ -93,7 +98,9 @@ def write_bag(
                 data = typestore.serialize_cdr(build(trajectories[topic], k), name)
                 writer.write(connections[topic], stamp, data)
     except (OSError, WriterError) as error:
-        raise SourceError(f'{path} cannot be written as a bag: {error}') from error
+        raise SourceError(
+            f'{path} cannot be written as a bag: {str(error).rstrip(".")}; remove what is '
+            'there, or choose another folder') from error
 
 
 def _in_time_order(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[int, str, int]]:

@@ -1,1 +1,21 @@
-"""Where trajectories come from: files and bags here; live buffers in ``ros``."""
+"""Where trajectories come from: files and bags here; live buffers in ``ros``.
+
+``FileSource('a.tum').load()`` and ``BagSource(['drive.mcap'], '/odometry').load()`` return a
+``Trajectory``. Only the second needs the package ``rosbags``, which loads with it.
+"""
+
+from typing import Any, TYPE_CHECKING
+
+from trajectory_calibration.sources.files import FileSource, read_transform
+
+if TYPE_CHECKING:
+    from trajectory_calibration.sources.bags import BagSource
+
+__all__ = ['BagSource', 'FileSource', 'read_transform']
+
+
+def __getattr__(name: str) -> Any:
+    if name == 'BagSource':
+        from trajectory_calibration.sources.bags import BagSource
+        return BagSource
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass, field
+import os
 from pathlib import Path
 
-from trajectory_calibration.errors import SourceError, TopicError
+from trajectory_calibration.errors import pip_name, SourceError, TopicError
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 from trajectory_calibration.trajectory import Trajectory
 
@@ -31,10 +32,9 @@ try:
     from trajectory_calibration.sources.topics import join_tracks, TopicCollector, TopicTrack
 except ModuleNotFoundError as error:
     # A machine with ROS from apt has no rosbags, and needs it for nothing else.
-    package = str(error.name).partition('.')[0]
     raise SourceError(
-        f'bags need the Python package {package}, which is not installed; install it with: '
-        'pip install rosbags') from error
+        f'bags need the Python package {pip_name(error)}, which is not installed; install it '
+        'with: pip install rosbags') from error
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
@@ -56,7 +56,7 @@ class BagSource:
 
     """
 
-    bags: Sequence[Path]
+    bags: Sequence[str | os.PathLike[str]]
     topic: str
     sensor_frame: str | None = None
     world_frame: str | None = None
@@ -78,7 +78,7 @@ class BagSource:
 
 
 @contextmanager
-def open_bags(paths: Iterable[Path]) -> Iterator[BagReader]:
+def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
     """Open several bags together; they close with the ``with`` statement.
 
     Raises
@@ -101,25 +101,30 @@ class BagReader:
     Attributes
     ----------
     channels : topics, types and counts over all bags, by name.
-    notes : what is wrong with the bags as a whole.
 
     """
 
     def __init__(self, bags: list[_OpenBag]) -> None:
         self._bags = bags
-        self.notes = [note for bag in bags for note in bag.notes()]
         if not any(item.storage for bag in bags for item in bag.files):
-            raise SourceError(f'{"; ".join(self.notes)}: nothing in it can be read')
+            raise SourceError(
+                f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
+                'was recorded, or record anew')
         counts: dict[tuple[str, str], int] = {}
         for bag in bags:
             for topic, msgtype, messages in bag.channels():
                 counts[topic, msgtype] = counts.get((topic, msgtype), 0) + messages
         self.channels = [Channel(*key, counts[key]) for key in sorted(counts)]
 
+    @property
+    def notes(self) -> list[str]:
+        """Return what is wrong with the bags as a whole, as far as they have been read."""
+        return [note for bag in self._bags for note in bag.notes()]
+
     def read(
         self, topics: Sequence[str], progress: Progress | None = None,
     ) -> dict[str, TopicTrack]:
-        """Read some topics in one pass.
+        """Read some topics in one pass; the first track carries the notes on the bags.
 
         Raises
         ------
@@ -139,6 +144,8 @@ class BagReader:
                 parts[topic] += found
                 warnings[topic] += bag.missing(
                     topic, sum(track.messages for track in found))
+        for topic in list(types)[:1]:
+            warnings[topic][:0] = self.notes
         return {
             topic: join_tracks(topic, msgtype, parts[topic], tuple(warnings[topic]))
             for topic, msgtype in types.items()}
@@ -226,14 +233,12 @@ class _OpenBag:
         expected = max(
             self.bag.declared.get(topic, 0),
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
-        notes = self.notes()
+        found = f'{self.bag.path}: read {read}'
         if expected > read:
-            notes.append(f'{self.bag.path}: read {read} of {expected} messages, '
-                         f'{expected - read} are missing')
-        elif any(item.damage for item in self.files) and topic not in self.bag.declared:
-            notes.append(
-                f'{self.bag.path}: read {read} messages; how many are missing is not known')
-        return notes
+            return [f'{found} of {expected} messages, {expected - read} are missing']
+        if any(item.damage for item in self.files) and topic not in self.bag.declared:
+            return [f'{found} messages; how many are missing is not known']
+        return []
 
 
 class _Meter:

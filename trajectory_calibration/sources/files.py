@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.errors import SourceError, TrajectoryError
+from trajectory_calibration.errors import ConfigError, SourceError, TrajectoryError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
 
@@ -39,6 +39,8 @@ _COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
 _PRINTABLE = re.compile(rb'[\t\v\f -~]*')
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
 _INT64_MAX = 2**63 - 1
+# How files of gzip, zip, bzip2, xz and zstd begin.
+_PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,9 @@ class FileSource:
 
     """
 
-    path: Path
+    path: str | os.PathLike[str]
     file_format: str | None = None
-    times: Path | None = None
+    times: str | os.PathLike[str] | None = None
     sensor_frame: str = 'sensor'
     world_frame: str = 'map'
 
@@ -65,23 +67,29 @@ class FileSource:
 
         Raises
         ------
+        ConfigError
+            An unknown format.
         SourceError
             The file cannot be read, is empty, is not text, or a line of it does not fit.
 
         """
-        table = _Table.read(self.path)
+        if self.file_format not in (None, *FORMATS):
+            raise ConfigError(
+                f'format {self.file_format!r} is unknown; needed one of {", ".join(FORMATS)}')
+        table = _Table.read(Path(self.path))
         file_format = self.file_format or _detect_format(table)
         if file_format == 'kitti' and self.times is None:
             raise SourceError(
                 f'{self.path} holds KITTI poses, which carry no time; give the file of their '
-                'times as well, one number of seconds a line')
+                'times as well, one number of seconds a line (--times-a, --times-b; --times of '
+                'inspect)')
         if file_format != 'kitti' and self.times is not None:
             raise SourceError(
                 f'{self.path} is read as {file_format}, which carries its own times; leave '
                 f'{self.times} out, or say that the format is kitti')
         try:
             if file_format == 'kitti' and self.times is not None:
-                return self._kitti(table, _Table.read(self.times))
+                return self._kitti(table, _Table.read(Path(self.times)))
             return self._quaternions(table, file_format)
         except TrajectoryError as error:
             raise SourceError(f'{self.path}: {error}') from error
@@ -220,7 +228,11 @@ class _Table:
         try:
             data = path.read_bytes()
         except OSError as error:
-            raise SourceError(f'{path} cannot be read: {error.strerror or error}') from error
+            topic = '; if it is a topic, give its bag with --bag' if _like_a_topic(path) else ''
+            raise SourceError(
+                f'{path} cannot be read: {error.strerror or error}{topic}') from error
+        if data.startswith(_PACKED):
+            raise SourceError(f'{path} is compressed; unpack it first')
         if b'\0' in data:
             raise SourceError(
                 f'{path} is not text: it holds a zero byte at {data.index(0)}; needed a TUM, '
@@ -286,7 +298,7 @@ class _Table:
                 return self._wrong(
                     k, f'{len(fields)} columns, needed {"at least " * more}{columns}')
             if not all(map(_is_number, fields[:columns])):
-                return self._wrong(k, f'needed {columns} numbers')
+                return self._wrong(k, f'needed {columns} numbers{_heading_hint(fields)}')
         return SourceError(f'{self.path} is no table of {columns} numbers a row')
 
     def _wrong(self, k: int, what: str) -> SourceError:
@@ -296,20 +308,33 @@ class _Table:
 
 def _detect_format(table: _Table) -> str:
     first = table.lines[0]
+    fields = first.split(b',' if b',' in first else None)
+    hint = _heading_hint(fields)
     if b',' in first:
-        fields = first.split(b',')
         if len(fields) >= _COLUMNS['euroc'] and fields[0].strip().isdigit():
             return 'euroc'
-    else:
-        width = len(first.split())
-        if width == _COLUMNS['tum']:
-            return 'tum'
-        if width == _COLUMNS['kitti']:
-            return 'kitti'
+        if len(fields) == _COLUMNS['tum'] and all(map(_is_number, fields)):
+            hint = ('; of seconds, x, y, z, qx, qy, qz, qw with commas say that the format is '
+                    'tum (--format-a, --format-b; --file-format of inspect)')
+    elif len(fields) == _COLUMNS['tum']:
+        return 'tum'
+    elif len(fields) == _COLUMNS['kitti']:
+        return 'kitti'
     raise SourceError(
         f'{table.path}, line {table.line_numbers[0]}: no known format; needed 8 numbers (TUM), 12 '
-        'numbers (KITTI), or integer nanoseconds and 7 numbers separated by commas (EuRoC); '
-        f'found {_shown(first)}')
+        f'numbers (KITTI), or integer nanoseconds and 7 numbers separated by commas (EuRoC){hint}'
+        f'; found {_shown(first)}')
+
+
+def _heading_hint(fields: list[bytes]) -> str:
+    """Return what to do with a row of words."""
+    return '' if any(map(_is_number, fields)) else '; put # before a heading'
+
+
+def _like_a_topic(path: Path) -> bool:
+    """Tell /lidar/odometry from the name of a file: nothing is there, nor its folder."""
+    at_root = path.is_absolute() and not path.suffix and not path.exists()
+    return at_root and (len(path.parts) == 2 or not path.parent.exists())
 
 
 def _euroc_quaternion_columns(table: _Table) -> list[int]:

@@ -162,7 +162,8 @@ def _find_folder(path: Path) -> Bag:
         if not present:
             raise SourceError(
                 f'{path} is not a bag: no metadata.yaml that can be read '
-                f'({describe_damage(error)}), and no .mcap or .db3 file') from error
+                f'({describe_damage(error)}), and no .mcap or .db3 file; give a folder that ros2 '
+                'bag wrote, or a bag file') from error
         reason = ('is missing' if isinstance(error, FileNotFoundError)
                   else f'is damaged ({describe_damage(error)})')
         note = f'metadata.yaml {reason}: read {", ".join(item.name for item in present)}'

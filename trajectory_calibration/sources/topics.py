@@ -211,6 +211,7 @@ def join_tracks(
     filled = sorted((part for part in parts if len(part.poses)),
                     key=lambda part: int(part.received_ns[0]))
     if msgtype == cdr.PATH:
+        warnings += tuple(_dropped_note(filled))
         filled = filled[-1:]
     messages, unreadable = (sum(part.messages for part in parts),
                             sum(part.unreadable for part in parts))
@@ -226,6 +227,20 @@ def join_tracks(
             np.array([frames.index(pair) for pair in part.frames])[part.frame_index]
             for part in filled]),
         frames, warnings)
+
+
+def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
+    """Say which paths hold poses of a time of their own, which the last path does not replace."""
+    if not paths:
+        return []
+    start, end = paths[-1].stamps_ns.min(), paths[-1].stamps_ns.max()
+    apart = [path for path in paths[:-1]
+             if path.stamps_ns.max() < start or path.stamps_ns.min() > end]
+    if not apart:
+        return []
+    found = f'{len(apart)} earlier paths with {sum(len(path.poses) for path in apart)} poses'
+    advice = 'only the last path is used; calibrate each bag by itself'
+    return [f'{found} of another time: dropped, {advice}']
 
 
 def _nothing() -> tuple[
