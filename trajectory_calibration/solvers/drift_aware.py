@@ -28,6 +28,7 @@ from trajectory_calibration.solvers.drift.covariance import (
 from trajectory_calibration.solvers.drift.diagnosis import diagnose, warnings_of
 from trajectory_calibration.solvers.drift.fit import Fit
 from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
+from trajectory_calibration.solvers.drift.rest import without_rest
 from trajectory_calibration.solvers.drift.selection import (
     COARSE,
     estimate,
@@ -78,7 +79,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         unit = 1.0 if terms['scale'] == 'fixed' else _unit(pairs)
-        fit = estimate(pairs.scaled(unit), terms)
+        fit, pairs = _fit(pairs.scaled(unit), terms)
         lags = check_lags(fit)
         covariance = parameter_covariance(fit, lags.excess)
         of_extrinsic = extrinsic_covariance(fit, optional_terms(terms), lags.excess)
@@ -105,6 +106,15 @@ def _named_errors(pairs: PosePairs) -> Iterator[None]:
         raise SolverError(
             f'drift_aware: the equations of {len(pairs)} poses cannot be solved ({error}); needed '
             'motion of both sensors, with turns about several axes') from error
+
+
+def _fit(pairs: PosePairs, terms: Mapping[str, str]) -> tuple[Fit, PosePairs]:
+    """Return the fit, and the pairs that it is of: with those at rest only where they tell."""
+    drive = without_rest(pairs)
+    fit = estimate(drive.pairs, terms)
+    if drive.stops and not drive.rest_is_worthless(fit):
+        return estimate(pairs, terms), pairs
+    return fit, drive.pairs
 
 
 def _unit(pairs: PosePairs) -> float:
