@@ -98,6 +98,20 @@ def test_motion_about_all_axes_is_enough():
     assert 'needed 1e-05 m' in excitation.advice('lidar', 1e-5, 0.2)
 
 
+@pytest.mark.parametrize('sparse', ['a', 'b'])
+def test_a_sensor_of_one_pose_a_second_serves_whichever_it_is(sparse):
+    stamps_ns, a, b = drive(900, (0, 1, 2))
+    poses = {'a': a, 'b': b}
+    buffers = {name: PoseBuffer(BufferLimits()) for name in 'ab'}
+    for name, buffer in buffers.items():
+        every = 10 if name == sparse else 1
+        late = 0 if name == 'a' else 700_000_000
+        fill(buffer, stamps_ns[::every] + late, poses[name][::every])
+    excitation = ExcitationMonitor().update(*buffers.values(), -700_000_000, GAP_NS)
+    assert excitation.motions == 89
+    assert excitation.sufficient(0.02, 0.2)
+
+
 def test_standing_still_is_no_motion():
     excitation = followed(*drive(900, ()))
     assert not excitation.sufficient(0.02, 0.2)

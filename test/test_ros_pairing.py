@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trajectory_calibration.association import associate_by_interpolation
+from trajectory_calibration.association import associate, associate_by_interpolation
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.ros.pairing import count_pairs, Pairing
 
@@ -33,6 +33,15 @@ def test_the_counts_are_those_of_the_association(seed):
         time_offset_ns=offset_ns).summary
     assert count_pairs(a, b, offset_ns, max_gap_ns) == Pairing(
         expected.pairs, expected.in_gaps, expected.outside)
+
+
+def test_auto_counts_the_sparser():
+    a, b = holding(np.arange(1, 30) * SECOND), holding(SECOND // 10 * np.arange(5, 205))
+    summary = associate(a.snapshot('a').trajectory(), b.snapshot('b').trajectory()).summary
+    assert (summary.stamps_of, summary.outside) == ('a', 9)
+    assert count_pairs(a, b, 0, SECOND // 2, either=True) == Pairing(
+        summary.pairs, summary.in_gaps, summary.outside)
+    assert count_pairs(a, b, 0, SECOND // 2).pairs == 20
 
 
 @pytest.mark.parametrize('poses_a, poses_b', [(0, 0), (0, 5), (1, 5), (5, 0)])

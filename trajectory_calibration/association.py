@@ -156,6 +156,8 @@ def associate(
 
 def is_sparser(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> bool:
     """Tell whether 'auto' interpolates b at the stamps of a rather than a at those of b."""
+    if min(len(stamps_a), len(stamps_b)) < 2:
+        return False
     step_a, step_b = (np.median(np.diff(stamps)) for stamps in (stamps_a, stamps_b))
     return bool(step_a > _SPARSER * step_b)
 

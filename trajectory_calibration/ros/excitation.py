@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.association import COINCIDENCE_NS
+from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.se3 import FloatArray
 
+_ALWAYS = int(np.iinfo(np.int64).min)
 _STEP_NS = 1_000_000_000
 # A motion over more than this, because of a gap, says little: drift and noise have grown.
 _LONGEST_NS = 2_500_000_000
@@ -90,7 +91,7 @@ class ExcitationMonitor:
     """Follows two buffers and keeps the sums of their motions."""
 
     def __init__(self) -> None:
-        self._basis = (-1, -1, 0)
+        self._basis = (-1, -1, 0, False)
         # Motions whose poses have left the buffers.
         self._left = 0
         self._clear()
@@ -100,7 +101,8 @@ class ExcitationMonitor:
     ) -> Excitation:
         """Take what has arrived since the last call and return the state of things."""
         # Sums over other poses, or over pairs at another offset, say nothing about these.
-        basis = (a.generation, b.generation, time_offset_ns)
+        at_a = is_sparser(a.after(_ALWAYS)[0], b.after(_ALWAYS)[0])
+        basis = (a.generation, b.generation, time_offset_ns, at_a)
         if basis != self._basis:
             self._basis = basis
             self._left = 0
@@ -126,32 +128,39 @@ class ExcitationMonitor:
         # The first instant in the sums.
         self._first_ns: int | None = None
         # The last instant looked at, and the last one with poses of both sensors.
-        self._seen_ns = np.iinfo(np.int64).min
+        self._seen_ns = _ALWAYS
         self._stamps_ns = np.empty(0, np.int64)
         self._poses_a = self._poses_b = np.empty((0, 4, 4))
 
     def _advance(
         self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
     ) -> None:
-        span_a = a.span_ns
-        if span_a is None:
+        # The one with fewer poses a second says when, as the association 'auto' has it.
+        at_a = self._basis[3]
+        timed, other, offset_ns = (a, b, -time_offset_ns) if at_a else (b, a, time_offset_ns)
+        span = other.span_ns
+        if span is None:
             return
-        stamps_b, rows_b = b.after(self._seen_ns)
-        # What a has not reached yet waits for the next call.
-        count = int(np.searchsorted(stamps_b + time_offset_ns, span_a[1], side='right'))
-        stamps_b, rows_b = stamps_b[:count], rows_b[:count]
+        stamps, rows = timed.after(self._seen_ns)
+        # What the other has not reached yet waits for the next call.
+        count = int(np.searchsorted(stamps + offset_ns, span[1], side='right'))
+        stamps, rows = stamps[:count], rows[:count]
         if not count:
             return
         # The first pose of each second; the seconds themselves are not listed, for one wrong
         # stamp in a Path can make them decades.
-        steps = (stamps_b - stamps_b[0]) // _STEP_NS
+        steps = (stamps - stamps[0]) // _STEP_NS
         chosen = np.flatnonzero(np.diff(steps, prepend=-1))
-        self._seen_ns = int(stamps_b[chosen[-1]]) + _STEP_NS - 1
-        stamps_ns = stamps_b[chosen] + time_offset_ns
-        bridged, poses_a = _poses_at(a, stamps_ns, max_gap_ns)
-        self._stamps_ns = np.concatenate([self._stamps_ns, stamps_ns[bridged]])
+        self._seen_ns = int(stamps[chosen[-1]]) + _STEP_NS - 1
+        stamps = stamps[chosen]
+        bridged, poses = _poses_at(other, stamps + offset_ns, max_gap_ns)
+        poses_a, poses_b = _matrices(rows[chosen][bridged]), poses
+        if not at_a:
+            poses_a, poses_b = poses_b, poses_a
+            stamps = stamps + offset_ns
+        self._stamps_ns = np.concatenate([self._stamps_ns, stamps[bridged]])
         self._poses_a = np.concatenate([self._poses_a, poses_a])
-        self._poses_b = np.concatenate([self._poses_b, _matrices(rows_b[chosen][bridged])])
+        self._poses_b = np.concatenate([self._poses_b, poses_b])
         near = np.diff(self._stamps_ns) <= _LONGEST_NS
         self._sums.add(
             (se3.inverse(self._poses_a[:-1]) @ self._poses_a[1:])[near],

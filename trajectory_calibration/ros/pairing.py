@@ -1,4 +1,6 @@
-"""How many poses of b have a place among those of a: counted each second, so without pairing.
+"""How many poses of one sensor have a place among the other's: counted, not paired.
+
+Each second, so that pairing all of them again would cost too much.
 
 Nothing here imports ROS.
 """
@@ -9,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.association import COINCIDENCE_NS
+from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
 from trajectory_calibration.ros.buffer import PoseBuffer
 
 _ALWAYS = int(np.iinfo(np.int64).min)
@@ -23,7 +25,8 @@ class Pairing:
     ----------
     pairs : poses of b between two poses of a that are near enough, or coinciding with one.
     in_gaps : poses of b in a gap of a.
-    outside : poses of b before the first or after the last pose of a.
+    outside : poses of b before the first or after the last pose of a. All three the other way
+        round where b is interpolated at the stamps of a.
 
     """
 
@@ -33,10 +36,15 @@ class Pairing:
 
 
 def count_pairs(
-    a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
+    a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int, *, either: bool = False,
 ) -> Pairing:
-    """Count as ``associate_by_interpolation`` does, from the few long gaps of a alone."""
+    """Count as ``associate_by_interpolation`` does, from the few long gaps of a alone.
+
+    ``either`` interpolates the one with more poses a second, as the association 'auto' does.
+    """
     stamps_a, stamps_b = a.after(_ALWAYS)[0], b.after(_ALWAYS)[0]
+    if either and is_sparser(stamps_a, stamps_b):
+        return count_pairs(b, a, -time_offset_ns, max_gap_ns)
     if len(stamps_a) < 2:
         return Pairing(0, 0, len(stamps_b))
     # In the clock of b: adding the offset to its stamps would copy all of them.
