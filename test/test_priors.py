@@ -186,6 +186,13 @@ def test_a_prior_far_from_the_motion_is_refused():
                  prior_rotation_std='0.01')
 
 
+def test_a_prior_of_the_translation_that_turns_an_open_rotation_is_named_as_that():
+    """On flat ground park leaves the heading open, which then follows the height."""
+    with pytest.raises(ConfigError, match=r'prior of the translation turns .* give prior_rotation'):
+        run_with(NOISY_FLAT, 5, solver='park', prior_translation='-,-,0.8',
+                 prior_translation_std='0.02')
+
+
 def test_a_weak_prior_counts_little():
     free, _ = run_with(SCENARIOS['drone'], 2, solver='dnl')
     held, _ = run_with(SCENARIOS['drone'], 2, solver='dnl', prior_translation='0,0,0',

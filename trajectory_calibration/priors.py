@@ -131,10 +131,15 @@ def apply_prior(
             break
     turn = float(np.rad2deg(np.linalg.norm(step[3:])))
     if turn > _LARGEST_TURN_DEG:
+        what, check = (
+            ('prior', 'check prior_rotation (roll, pitch, yaw of b in a, degrees)')
+            if np.isfinite(prior.rotation_std).any() else
+            # What the motion leaves open of the rotation follows a prior of the translation.
+            ('prior of the translation', 'give prior_rotation, too, or use drift_aware or dnl'))
         raise ConfigError(
-            f'the prior turns the answer of the motion by {turn:.0f} degrees, needed less than '
-            f'{_LARGEST_TURN_DEG:.0f}; check prior_rotation (roll, pitch, yaw of b in a, '
-            'degrees), or drive so that the motion shows the rotation, about two axes')
+            f'the {what} turns the answer of the motion by {turn:.0f} degrees, needed less than '
+            f'{_LARGEST_TURN_DEG:.0f}; {check}, or drive so that the motion shows the rotation, '
+            'about two axes')
     half = np.linalg.solve(triangle.T, root.T)
     return se3.moved(T_a_b, step), half.T @ half
 
