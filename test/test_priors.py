@@ -188,7 +188,7 @@ def test_a_prior_far_from_the_motion_is_refused():
 
 def test_a_prior_of_the_translation_that_turns_an_open_rotation_is_named_as_that():
     """On flat ground park leaves the heading open, which then follows the height."""
-    with pytest.raises(ConfigError, match=r'prior of the translation turns .* give prior_rotation'):
+    with pytest.raises(ConfigError, match=r'prior of the translation turns .* give prior_rot'):
         run_with(NOISY_FLAT, 5, solver='park', prior_translation='-,-,0.8',
                  prior_translation_std='0.02')
 

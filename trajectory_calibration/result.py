@@ -299,8 +299,10 @@ def _count(value: Any) -> int:
 
 def _association(data: Any) -> AssociationSummary:
     read: dict[str, Callable[[Any], Any]] = {'str': str, 'int': _count, 'float': _number}
+    # Older files were all made at the stamps of b.
+    given = {'stamps_of': 'b', **data}
     return AssociationSummary(**{
-        item.name: read[str(item.type)](data[item.name]) for item in fields(AssociationSummary)})
+        item.name: read[str(item.type)](given[item.name]) for item in fields(AssociationSummary)})
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
