@@ -132,6 +132,15 @@ def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
     assert '3 of 6 poses are not finite: dropped' in trajectory.warnings[0]
 
 
+@pytest.mark.parametrize('first', ['1 0 0 0', '-1.0 0 -0.0 0'])
+def test_quaternions_that_seem_to_begin_with_w_are_said(tmp_path, first):
+    rows = [f'1 0 0 0 {first}', '2 1 0 0 0.6 0 0 0.8', '3 2 0 0 0.6 0 0 0.8']
+    trajectory = FileSource(_write(tmp_path / 'a.txt', rows), sensor_frame='cam').load()
+    assert 'w comes first here: TUM files have x y z w' in trajectory.warnings[0]
+    trajectory = FileSource(_write(tmp_path / 'a.txt', rows[1:])).load()
+    assert trajectory.warnings == ()
+
+
 @pytest.mark.parametrize(('cut', 'poses'), [(1, 5), (8, 5), (20, 4), (60, 4)])
 def test_last_line_cut_off_is_dropped_with_a_warning(tmp_path, track, cut, poses):
     """Unless what is missing is within rounding: the norm of the quaternion tells."""

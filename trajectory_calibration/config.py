@@ -116,8 +116,8 @@ class CalibrationConfig:
     time_offset_mode: str = _option(
         'auto', f'{_MODES}, unless time_offset is other than 0', choices=MODES)
     max_time_offset: float = _option(
-        5.0, 'largest clock offset that is looked for around time_offset, seconds',
-        minimum=0.0, maximum=3600.0)
+        5.0, 'largest clock offset that is looked for around time_offset, seconds; drift_aware '
+        'refines what is found, 0 leaves the clocks alone', minimum=0.0, maximum=3600.0)
     scale: float = _option(
         1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
     scale_mode: str = _option(

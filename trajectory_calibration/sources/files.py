@@ -117,6 +117,10 @@ class FileSource:
                 '?')
         notes = [*table.notes, *_lost_note(lost)]
         self._require_two(keep, notes)
+        if file_format == 'tum' and np.array_equal(np.abs(quaternions[keep][0]), [1, 0, 0, 0]):
+            notes.append(
+                'the first quaternion is 1 0 0 0, half a turn about x; if the sensor began '
+                'without a rotation, w comes first here: TUM files have x y z w')
         return Trajectory.from_quaternions(
             rows.stamps_ns[keep], rows.values[keep, 1:4], quaternions[keep],
             self.world_frame, self.sensor_frame, self._warnings(notes))
