@@ -138,6 +138,24 @@ def test_an_offset_without_any_noise_is_certain():
         assert found.seconds == pytest.approx(0.1, abs=1e-6)
 
 
+@pytest.mark.parametrize('rate_deg', [1.0, 30.0, 100.0])
+@pytest.mark.parametrize('seed', range(5))
+def test_turning_at_a_constant_rate_tells_nothing(rate_deg, seed):
+    """All offsets fit the same; which one is least is rounding."""
+    rng = np.random.default_rng(seed)
+    turns = np.deg2rad(rate_deg)
+
+    def circle(t):
+        R = se3.exp_so3(t[:, None] * [0.0, 0.0, turns])
+        return se3.from_rotation_translation(R, R @ [10.0, 0.0, 0.0])
+
+    a = sampled(circle, np.eye(4), 20.0, 10.0)
+    b = sampled(circle, random_pose(rng), 20.0, 10.0)
+    world = random_pose(rng, distance=5.0)
+    found = find_clock_offset(a, Trajectory(b.stamps_ns, world @ b.poses), 5.0)
+    assert found is None or not found.significant
+
+
 def test_too_short_for_an_offset():
     rng = np.random.default_rng(2)
     pose = smooth_body(rng)

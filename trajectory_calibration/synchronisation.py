@@ -52,6 +52,9 @@ _POINTS = 7
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
 
+# Of sums of squares, that leaves nothing but rounding of their difference.
+_ROUNDING = 1e-12
+
 # Motion between the poses of a is not known; this share of their usual step is uncertain.
 _STEP_SHARE = 0.005
 
@@ -218,6 +221,7 @@ def _refine(
     i, j, turned_b = i[usable], j[usable], turned_b[usable]
     if len(i) < 3 * step:
         return None
+    turned = float(np.sum(turned_b**2))
 
     def disagreement(shift_s: float) -> float:
         at = offset_ns + round(shift_s * 1e9)
@@ -236,7 +240,8 @@ def _refine(
         around = np.linspace(-reach_s, reach_s, _POINTS)
         square, slope, _ = np.polyfit(around, [disagreement(shift + d) for d in around], 2)
         curvature = 2 * float(square)
-        if curvature <= 0:
+        # Who turns at a constant rate agrees at any offset, but for rounding.
+        if curvature * reach_s**2 <= _ROUNDING * turned:
             return None
         # The start is within a cell of the best offset.
         shift = float(np.clip(shift - float(slope) / curvature, -widest, widest))
