@@ -39,7 +39,7 @@ def test_auto_counts_the_sparser():
     a, b = holding(np.arange(1, 30) * SECOND), holding(SECOND // 10 * np.arange(5, 205))
     summary = associate(a.snapshot('a').trajectory(), b.snapshot('b').trajectory()).summary
     assert (summary.stamps_of, summary.outside) == ('a', 9)
-    assert count_pairs(a, b, 0, SECOND // 2, either=True) == Pairing(
+    assert count_pairs(a, b, 0, SECOND // 2, at_a=True) == Pairing(
         summary.pairs, summary.in_gaps, summary.outside)
     assert count_pairs(a, b, 0, SECOND // 2).pairs == 20
 

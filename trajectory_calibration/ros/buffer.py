@@ -165,10 +165,14 @@ class PoseBuffer:
             return None
         return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
 
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return a view of all stamps."""
+        return self._stamps[self._start:self._end]
+
     def after(self, stamp_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
         """Return views of the (K,) stamps after ``stamp_ns`` and of their (K, 7) poses."""
-        held = self._stamps[self._start:self._end]
-        first = self._start + int(np.searchsorted(held, stamp_ns, side='right'))
+        first = self._start + int(np.searchsorted(self.stamps_ns, stamp_ns, side='right'))
         return self._stamps[first:self._end], self._poses[first:self._end]
 
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:

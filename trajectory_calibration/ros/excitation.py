@@ -24,7 +24,6 @@ from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.se3 import FloatArray
 
-_ALWAYS = int(np.iinfo(np.int64).min)
 _STEP_NS = 1_000_000_000
 # A motion over more than this, because of a gap, says little: drift and noise have grown.
 _LONGEST_NS = 2_500_000_000
@@ -88,9 +87,17 @@ class Excitation:
 
 
 class ExcitationMonitor:
-    """Follows two buffers and keeps the sums of their motions."""
+    """Follows two buffers and keeps the sums of their motions.
+
+    Attributes
+    ----------
+    at_a : whether b is interpolated at the stamps of a, which has fewer poses a second, rather
+        than a at those of b: as the association 'auto' has it.
+
+    """
 
     def __init__(self) -> None:
+        self.at_a = False
         self._basis = (-1, -1, 0, False)
         # Motions whose poses have left the buffers.
         self._left = 0
@@ -100,9 +107,9 @@ class ExcitationMonitor:
         self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
     ) -> Excitation:
         """Take what has arrived since the last call and return the state of things."""
+        self.at_a = is_sparser(a.stamps_ns, b.stamps_ns)
         # Sums over other poses, or over pairs at another offset, say nothing about these.
-        at_a = is_sparser(a.after(_ALWAYS)[0], b.after(_ALWAYS)[0])
-        basis = (a.generation, b.generation, time_offset_ns, at_a)
+        basis = (a.generation, b.generation, time_offset_ns, self.at_a)
         if basis != self._basis:
             self._basis = basis
             self._left = 0
@@ -128,16 +135,15 @@ class ExcitationMonitor:
         # The first instant in the sums.
         self._first_ns: int | None = None
         # The last instant looked at, and the last one with poses of both sensors.
-        self._seen_ns = _ALWAYS
+        self._seen_ns = np.iinfo(np.int64).min
         self._stamps_ns = np.empty(0, np.int64)
         self._poses_a = self._poses_b = np.empty((0, 4, 4))
 
     def _advance(
         self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
     ) -> None:
-        # The one with fewer poses a second says when, as the association 'auto' has it.
-        at_a = self._basis[3]
-        timed, other, offset_ns = (a, b, -time_offset_ns) if at_a else (b, a, time_offset_ns)
+        timed, other, offset_ns = (
+            (a, b, -time_offset_ns) if self.at_a else (b, a, time_offset_ns))
         span = other.span_ns
         if span is None:
             return
@@ -155,7 +161,7 @@ class ExcitationMonitor:
         stamps = stamps[chosen]
         bridged, poses = _poses_at(other, stamps + offset_ns, max_gap_ns)
         poses_a, poses_b = _matrices(rows[chosen][bridged]), poses
-        if not at_a:
+        if not self.at_a:
             poses_a, poses_b = poses_b, poses_a
             stamps = stamps + offset_ns
         self._stamps_ns = np.concatenate([self._stamps_ns, stamps[bridged]])

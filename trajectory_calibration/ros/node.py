@@ -318,7 +318,8 @@ class CalibrationNode(Node):
             'clock_offset_s': self._clock_offset(),
             **pairing_values(count_pairs(
                 session.buffer_a, session.buffer_b, round(offset_s * 1e9),
-                round(values['max_gap'] * 1e9), either=values['association'] == 'auto'), result),
+                round(values['max_gap'] * 1e9),
+                at_a=self._excitation.at_a and values['association'] == 'auto'), result),
             'advice': advice,
             'last_failure': self._last_failure,
             **excitation_values(excitation),

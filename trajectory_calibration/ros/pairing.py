@@ -11,10 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
+from trajectory_calibration.association import COINCIDENCE_NS
 from trajectory_calibration.ros.buffer import PoseBuffer
-
-_ALWAYS = int(np.iinfo(np.int64).min)
 
 
 @dataclass(frozen=True)
@@ -36,15 +34,16 @@ class Pairing:
 
 
 def count_pairs(
-    a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int, *, either: bool = False,
+    a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int, *, at_a: bool = False,
 ) -> Pairing:
     """Count as ``associate_by_interpolation`` does, from the few long gaps of a alone.
 
-    ``either`` interpolates the one with more poses a second, as the association 'auto' does.
+    ``at_a`` counts the poses of a among those of b, as the association 'auto' would where a
+    ``is_sparser``.
     """
-    stamps_a, stamps_b = a.after(_ALWAYS)[0], b.after(_ALWAYS)[0]
-    if either and is_sparser(stamps_a, stamps_b):
+    if at_a:
         return count_pairs(b, a, -time_offset_ns, max_gap_ns)
+    stamps_a, stamps_b = a.stamps_ns, b.stamps_ns
     if len(stamps_a) < 2:
         return Pairing(0, 0, len(stamps_b))
     # In the clock of b: adding the offset to its stamps would copy all of them.
