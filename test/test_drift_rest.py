@@ -1,10 +1,10 @@
 """Poses at rest are left out where drift makes them worthless, and only there."""
 
-from motion_data import random_pose
+from motion_data import perturb, random_pose
 import numpy as np
 import pytest
 
-from trajectory_calibration import calibrate, se3, Trajectory
+from trajectory_calibration import calibrate, Trajectory
 from trajectory_calibration.association import associate
 from trajectory_calibration.simulation import Noise, Scenario, Sensor, simulate, Wander
 from trajectory_calibration.solvers.drift.rest import without_rest
@@ -21,9 +21,8 @@ def with_rest(run, seed, stops, seconds, noise=WHITE):
     at = np.linspace(0, len(driven), stops + 2)[1:-1].astype(int)
     k = np.sort(np.concatenate([driven, np.repeat(at, round(10 * seconds))]))
     stamps_ns = run.a.stamps_ns[0] + STEP_NS * np.arange(len(k))
-    sigma = np.repeat([noise.white, noise.white_rotation], 3)
-    return [Trajectory(stamps_ns, poses[k] @ se3.exp_se3(sigma * rng.normal(size=(len(k), 6))),
-                       sensor_frame=name)
+    return [perturb(rng, Trajectory(stamps_ns, poses[k], sensor_frame=name),
+                    noise.white, noise.white_rotation)
             for poses, name in ((run.a.poses, 'a'), (run.b.poses, 'b'))], ~np.isin(k, at)
 
 
@@ -55,8 +54,8 @@ def test_a_drive_without_rest_and_rest_without_a_drive_are_left_alone():
     assert len(without_rest(pairs).pairs) == len(pairs)
     rng = np.random.default_rng(2)
     stamps_ns = STEP_NS * np.arange(500)
-    still = [Trajectory(stamps_ns, random_pose(rng) @ se3.exp_se3(
-        0.01 * rng.normal(size=(500, 6)))) for _ in 'ab']
+    at_rest = [Trajectory(stamps_ns, np.tile(random_pose(rng), (500, 1, 1))) for _ in 'ab']
+    still = [perturb(rng, one, 0.01, 0.01) for one in at_rest]
     assert len(without_rest(associate(*still)).pairs) == 500
 
 

@@ -56,7 +56,7 @@ def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
     such steps themselves.
     """
     angle_a, angle_b = (
-        np.linalg.norm(se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:]), axis=1)
+        se3.rotation_angle(np.swapaxes(R[:-1], 1, 2) @ R[1:])
         for R in (pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]))
     apart = np.abs(angle_a - angle_b)
     found = np.flatnonzero(apart > max(_PARTED, _PARTED_USUAL * float(np.median(apart))))

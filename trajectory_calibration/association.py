@@ -145,6 +145,7 @@ def associate(
         return associate_nearest(
             a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
     if method == 'auto' and is_sparser(a.stamps_ns, b.stamps_ns):
+        # Asked here, because the offset that it names is one to add to the stamps of b.
         _require_overlap(a, b.stamps_ns + time_offset_ns, b.sensor_frame, time_offset_ns)
         pairs = associate_by_interpolation(
             b, a, max_gap_ns=max_gap_ns, time_offset_ns=-time_offset_ns, prefer_near=True)

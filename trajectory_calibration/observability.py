@@ -14,6 +14,7 @@ import numpy as np
 from trajectory_calibration import se3
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError
+from trajectory_calibration.excitation import UNKNOWN
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
 
@@ -33,9 +34,6 @@ _SINGLE = 0.5
 
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
-
-# No two sensors of one vehicle are farther apart, metres: what is known no better is unknown.
-_APART = 10.0
 
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
@@ -175,7 +173,8 @@ def require_observed(observability: Observability) -> None:
         return
     raise MotionError(
         'the motion determines nothing of the extrinsic: in no direction is it known better than '
-        f'to {min(best["translation"], _APART):.2g} m or {min(best["rotation"], 180.0):.3g} deg; '
+        f'to {min(best["translation"], UNKNOWN[0]):.2g} m or '
+        f'{min(best["rotation"], np.rad2deg(UNKNOWN[3])):.3g} deg; '
         'drive curves, and a ramp or a bank (allow_unobserved shows the answer)')
 
 
