@@ -40,7 +40,7 @@ from trajectory_calibration import se3
 
 __all__ = [
     'Client', 'Clock', 'DescribeParameters', 'Future', 'GetParameters', 'ListParameters',
-    'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'drive', 'matrix',
+    'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'connected', 'drive', 'matrix',
     'parameter_value_to_python', 'running', 'serialize_message', 'to_message', 'to_path',
 ]
 
@@ -233,26 +233,35 @@ class Client:
 
 
 @contextmanager
-def running(folder, *arguments, namespace=None, domain=None):
-    """Yield a node in its own process and a client of it, by default in a domain of their own."""
+def connected(namespace=None, domain=None):
+    """Yield a client, by default alone in a domain of its own."""
     number = next(_numbers)
     domain = domain or 1 + number % 101
     namespace = namespace or f'/test_{os.getpid()}_{number}'
     previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     client = Client(domain, namespace)
-    node = NodeProcess(folder, domain, namespace, arguments)
     try:
-        yield node, client
+        yield client
     finally:
         client.close()
-        if node.process.poll() is None:
-            node.process.kill()
-        node.process.wait(LIMIT_S)
         if previous is None:
             del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
         else:
             os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = previous
+
+
+@contextmanager
+def running(folder, *arguments, namespace=None, domain=None):
+    """Yield a node in its own process and a client of it, as ``connected``."""
+    with connected(namespace, domain) as client:
+        node = NodeProcess(folder, client.domain, client.namespace, arguments)
+        try:
+            yield node, client
+        finally:
+            if node.process.poll() is None:
+                node.process.kill()
+            node.process.wait(LIMIT_S)
 
 
 def matrix(message):

@@ -1,79 +1,79 @@
 """What is subscribed to, for what publishers offer."""
 
-from types import SimpleNamespace
-
 import pytest
 
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer
 
-topics = pytest.importorskip(
-    'trajectory_calibration.ros.topics',
-    reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+ros = pytest.importorskip(
+    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+topics = pytest.importorskip('trajectory_calibration.ros.topics')
 
-ODOMETRY, PATH = 'nav_msgs/msg/Odometry', 'nav_msgs/msg/Path'
 DEPTH = 5000
 
 
-class Graph:
-    """A node whose publishers are made up; it notes what is subscribed to."""
-
-    def __init__(self):
-        self.publishers, self.profiles = [], []
-
-    def get_publishers_info_by_topic(self, _topic):
-        return self.publishers
-
-    def resolve_topic_name(self, topic):
-        return topic
-
-    def create_subscription(self, _type, _topic, _callback, profile, **_options):
-        self.profiles.append(profile)
-
-    def destroy_subscription(self, _subscription):
-        pass
-
-    def get_logger(self):
-        return SimpleNamespace(info=lambda _text: None)
-
-
-def offer(msgtype=ODOMETRY, *, reliable=True, latched=False):
-    """Return what a publisher is known by."""
+def offer(type_name='Odometry', *, reliable=True, latched=False):
+    """Return the type and the profile of a publisher."""
     reliability, durability = topics.ReliabilityPolicy, topics.DurabilityPolicy
-    return SimpleNamespace(topic_type=msgtype, qos_profile=topics.QoSProfile(
+    return type_name, topics.QoSProfile(
         depth=1,
         reliability=reliability.RELIABLE if reliable else reliability.BEST_EFFORT,
-        durability=durability.TRANSIENT_LOCAL if latched else durability.VOLATILE))
+        durability=durability.TRANSIENT_LOCAL if latched else durability.VOLATILE)
+
+
+def known(publishers):
+    """Return what tells publishers apart: types, reliabilities and durabilities."""
+    return sorted((type_name.rpartition('/')[2], profile.reliability, profile.durability)
+                  for type_name, profile in publishers)
+
+
+def wait_for(client, offered):
+    """Wait until a client sees these publishers, and no others."""
+    client.wait(lambda: known(offered) == known(
+        (info.topic_type, info.qos_profile)
+        for info in client.node.get_publishers_info_by_topic('a')), 'the publishers')
 
 
 def subscribed(*offers):
     """Return what is subscribed with while these are offered, one list after the other."""
-    graph = Graph()
-    subscription = topics.TrajectorySubscription(
-        graph, '/a', None, PoseBuffer(BufferLimits()), DEPTH)
-    for graph.publishers in offers:
-        subscription.update()
-        assert subscription.status.ready
-    return graph.profiles
+    with (ros.connected() as client,
+          ros.connected(client.namespace, client.domain) as vehicle):
+        subscription = topics.TrajectorySubscription(
+            client.node, 'a', None, PoseBuffer(BufferLimits()), DEPTH)
+        assert subscription.status.text == f'waiting for a publisher on {client.namespace}/a'
+        publishers, subscriptions = [], []
+        for offered in offers:
+            for publisher in publishers:
+                vehicle.node.destroy_publisher(publisher)
+            publishers = [vehicle.node.create_publisher(ros.TYPES[type_name], 'a', profile)
+                          for type_name, profile in offered]
+            wait_for(client, offered)
+            subscription.update()
+            assert subscription.status.ready
+            (current,) = (item for item in client.node.subscriptions
+                          if item.topic_name == f'{client.namespace}/a')
+            if current not in subscriptions:
+                subscriptions.append(current)
+        return [item.qos_profile for item in subscriptions]
 
 
-@pytest.mark.parametrize('msgtype, depth', [(ODOMETRY, DEPTH), (PATH, 1)])
-def test_poses_wait_while_the_node_is_busy_and_of_paths_only_the_newest(msgtype, depth):
-    (profile,) = subscribed([offer(msgtype)])
+@pytest.mark.parametrize('type_name, depth', [('Odometry', DEPTH), ('Path', 1)])
+def test_poses_wait_while_the_node_is_busy_and_of_paths_only_the_newest(type_name, depth):
+    (profile,) = subscribed([offer(type_name)])
     assert profile.depth == depth
 
 
-@pytest.mark.parametrize('msgtype, expected', [
-    (ODOMETRY, ['TRANSIENT_LOCAL', 'VOLATILE']),
-    (PATH, ['TRANSIENT_LOCAL', 'VOLATILE', 'TRANSIENT_LOCAL'])])
-def test_what_publishers_keep_is_asked_for_once_unless_it_is_a_path(msgtype, expected):
-    latched, other = offer(msgtype, latched=True), offer(msgtype)
+@pytest.mark.parametrize('type_name, expected', [
+    ('Odometry', ['TRANSIENT_LOCAL', 'VOLATILE']),
+    ('Path', ['TRANSIENT_LOCAL', 'VOLATILE', 'TRANSIENT_LOCAL'])])
+def test_what_publishers_keep_is_asked_for_once_unless_it_is_a_path(type_name, expected):
+    latched, other = offer(type_name, latched=True), offer(type_name)
     profiles = subscribed([latched], [latched, latched], [latched, other], [latched])
     assert [profile.durability.name for profile in profiles] == expected
 
 
 def test_another_reliability_asks_for_nothing_twice_and_another_type_does():
     best_effort = offer(latched=True, reliable=False)
-    profiles = subscribed([offer(latched=True)], [best_effort], [offer(PATH, latched=True)])
+    profiles = subscribed([offer(latched=True)], [best_effort], [offer('Path', latched=True)])
     assert [(profile.reliability.name, profile.durability.name) for profile in profiles] == [
         ('RELIABLE', 'TRANSIENT_LOCAL'), ('BEST_EFFORT', 'VOLATILE'),
         ('RELIABLE', 'TRANSIENT_LOCAL')]

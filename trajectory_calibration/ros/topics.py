@@ -64,7 +64,7 @@ class TrajectorySubscription:
         self._msgtype: str | None = None
         self._profile: QoSProfile | None = None
         self._subscription: Subscription | None = None
-        self.status = TopicStatus(f'waiting for a publisher on {topic}')
+        self.status = TopicStatus(f'waiting for a publisher on {self._topic}')
 
     def update(self) -> None:
         """Look at the publishers and subscribe, or subscribe anew, as they require."""
