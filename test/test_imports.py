@@ -16,7 +16,7 @@ NAME = PACKAGE.name
 FLOW = (
     ('errors', 'version'),
     ('se3', 'reading', 'writing'),
-    ('trajectory',),
+    ('trajectory', 'interpolation'),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),
     ('solvers.__init__',),

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.errors import AssociationError, ConfigError
+from trajectory_calibration.interpolation import interpolate
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 
@@ -206,16 +207,16 @@ def associate_by_interpolation(
     extrapolate: bool = False,
     prefer_near: bool = False,
 ) -> PosePairs:
-    """Evaluate a at the stamps of b on the se(3) geodesic between its neighbouring poses.
+    """Evaluate a at the stamps of b, as ``interpolation.interpolate`` does.
 
     Only inside the span of a, and only between poses of a at most ``max_gap_ns`` apart (None:
     any gap), because a vehicle does not hold its twist over seconds. A pose of b that
     coincides with one of a needs no neighbour and is kept whatever the gap.
 
     ``prefer_near`` keeps to the poses of b within 10 ms of one of a, or in a gap of at most
-    0.15 s, where these are at least half of all. ``extrapolate`` continues the first and the last
-    twist of a beyond its ends. It exists to repeat the protocol of published tables and is wrong
-    for anything else.
+    0.15 s, where these are at least half of all. ``extrapolate`` keeps to the geodesic between two
+    poses and continues the first and the last one beyond the ends of a. It exists to repeat the
+    protocol of published tables and is wrong for anything else.
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
@@ -234,8 +235,10 @@ def associate_by_interpolation(
         between = int(np.count_nonzero(usable & ~near))
         usable = near
     j = np.flatnonzero(usable)
-    fraction = since_left[j] / gap[j]
-    poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], fraction)
+    if extrapolate:
+        poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], since_left[j] / gap[j])
+    else:
+        poses_a = interpolate(a.stamps_ns, a.poses, stamps_b[j], max_gap_ns=max_gap_ns)
     summary = _summarise(
         'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
         np.count_nonzero(~outside & ~bridged), between)
