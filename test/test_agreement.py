@@ -30,6 +30,35 @@ def test_two_vehicles(solver, seed):
         calibrate(a, b, config)
 
 
+def inverted(trajectory):
+    return replace(trajectory, poses=se3.inverse(trajectory.poses))
+
+
+def w_first(trajectory):
+    """Return what is read where w, x, y, z were written for x, y, z, w."""
+    poses = trajectory.poses.copy()
+    q = se3.rotation_to_quaternion(poses[:, :3, :3])
+    poses[:, :3, :3] = se3.quaternion_to_rotation(np.roll(q, 1, axis=1))
+    return replace(trajectory, poses=poses)
+
+
+@pytest.mark.parametrize('name', ['offroad', 'drone', 'handheld'])
+@pytest.mark.parametrize('mistake', [inverted, w_first])
+def test_a_mistaken_convention_is_named(name, mistake):
+    run = simulate(replace(SCENARIOS[name], duration=60.0), 2)
+    for a, b in ((mistake(run.a), run.b), (run.a, mistake(run.b))):
+        for config in (CalibrationConfig(), CalibrationConfig(solver='park', reference='B5')):
+            with pytest.raises(MotionError, match='if the poses of one of them were inverted'):
+                calibrate(a, b, config)
+
+
+def test_two_vehicles_are_accused_of_no_mistaken_convention():
+    for seed in range(4):
+        a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b
+        with pytest.raises(MotionError, match='check the topics or files'):
+            calibrate(a, b, CalibrationConfig(solver='park', reference='B5'))
+
+
 def test_two_vehicles_that_leave_a_solver_without_an_answer(monkeypatch):
     def unsolvable(*_):
         raise SolverError('numbers out of range')
@@ -67,14 +96,15 @@ def test_one_vehicle_is_never_suspected(name):
     scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
     for seed in range(12):
         run = simulate(scenario, seed)
-        require_agreement(run.T_a_b, associate(run.a, run.b), 'a', 'b')
+        pairs = associate(run.a, run.b)
+        require_agreement(run.T_a_b, pairs, run.a, run.b, CalibrationConfig())
 
 
 def test_hardly_any_turning_is_not_judged():
     run = simulate(Scenario(10.0, Wander(tilt=0.01, turn=0.01)), 1)
     wrong = run.T_a_b.copy()
     wrong[:3, :3] = wrong[:3, :3] @ np.diag([1.0, -1.0, -1.0])
-    require_agreement(wrong, associate(run.a, run.b), 'a', 'b')
+    require_agreement(wrong, associate(run.a, run.b), run.a, run.b, CalibrationConfig())
 
 
 def begun_anew(run, gap_s=600.0):

@@ -105,7 +105,7 @@ def test_two_poses_have_a_geodesic_between_them():
 
 @pytest.mark.parametrize('rate', [5.0, 10.0])
 def test_stamps_half_a_step_apart_cost_no_accuracy(rate):
-    """A hand that waves at half a hertz; the geodesic would give 1 to 4 % of scale."""
+    """A hand that waves at half a hertz; the geodesic takes 1 to 3 % off the scale."""
     noise = Noise(white=0.001, white_rotation=0.001)
     motion = Wander(reach=0.8, tilt=0.5, turn=0.8, frequency=0.5)
     run = simulate(Scenario(60.0, motion, Sensor(rate, noise), Sensor(2 * rate, noise)), 7)

@@ -8,14 +8,21 @@ The turns tell: where they are large, half of them at least must agree well.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
 import numpy as np
 
 from trajectory_calibration import se3
-from trajectory_calibration.association import PosePairs
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.association import associate, PosePairs
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import AssociationError, MotionError
 from trajectory_calibration.excitation import thinned
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.synchronisation import synchronise
+from trajectory_calibration.trajectory import Trajectory
 
 # Lags that are looked at: short ones have fewer jumps in them, long ones turn farther.
 _LAGS = (1, 2, 5, 20, 80)
@@ -30,22 +37,56 @@ _LEAST_TURNS = 5
 # 1 for such as have nothing in common. Median over the turns.
 _DISAGREEMENT = 0.05
 
+# From this disagreement on inverted poses are tried; they are the explanation where they leave
+# this share of it. Of a vehicle that turns about one axis they agree as well as the others.
+_SUSPICIOUS, _MUCH_LESS = 0.01, 0.1
+
 # Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
 _PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
 
 
-def require_agreement(T_a_b: FloatArray, pairs: PosePairs, frame_a: str, frame_b: str) -> None:
+def require_agreement(
+    T_a_b: FloatArray, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> None:
     """Raise MotionError where the sensors turned, but not together.
 
-    Not judged where they hardly turned: that is for the observability to say.
+    Not judged where they hardly turned: that is for the observability to say. ``pairs`` are of
+    the trajectories a and b by ``config``.
     """
-    found = [value for lag in _LAGS if (value := _disagreement(T_a_b, pairs, lag)) is not None]
-    if found and min(found) > _DISAGREEMENT:
-        raise MotionError(
-            f'{frame_a} and {frame_b} did not turn together: half of their turns differ by more '
-            f'than {np.sqrt(2 * min(found)):.0%}; needed two trajectories of one vehicle '
-            'at the same time: check the topics or files, the order of their quaternions (x, y, '
-            'z, w), and the clocks (max_time_offset is how far apart they may be)')
+    turns = list(_turns(pairs))
+    if not turns:
+        return
+    R = T_a_b[:3, :3]
+    found = min(_disagreement(turn_a, turn_b @ R.T) for turn_a, turn_b in turns)
+    possible = _least_disagreement(turns)
+    inverted = _least_if_inverted(a, b, config) if possible > _SUSPICIOUS else np.inf
+    if inverted < _MUCH_LESS * possible:
+        advice = ('they would agree if the poses of one of them were inverted, or its quaternions '
+                  'had w first: give the pose of the sensor in its world, as x, y, z, w')
+    elif found > _DISAGREEMENT:
+        advice = ('check the topics or files, the order of their quaternions (x, y, z, w), and '
+                  'the clocks (max_time_offset is how far apart they may be)')
+    else:
+        return
+    raise MotionError(
+        f'{a.sensor_frame} and {b.sensor_frame} did not turn together: half of their turns differ '
+        f'by more than {np.sqrt(2 * found):.0%}; needed two trajectories of one vehicle at the '
+        f'same time: {advice}')
+
+
+def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> float:
+    """Return how little the turns would disagree if the poses of b were inverted.
+
+    Those of a need no test of their own: inverted both, they agree as they did before. With w
+    first, a rotation is read as its inverse between two that are constant.
+    """
+    b = replace(b, poses=se3.inverse(b.poses))
+    with suppress(AssociationError):
+        offset = synchronise(a, b, config.time_offset, config.mode('time_offset'),
+                             config.max_time_offset)
+        turns = list(_turns(associate(a, b, time_offset_ns=round(offset * 1e9))))
+        return _least_disagreement(turns) if turns else np.inf
+    return np.inf
 
 
 def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
@@ -72,16 +113,33 @@ def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
     return (warning,)
 
 
-def _disagreement(T_a_b: FloatArray, pairs: PosePairs, lag: int) -> float | None:
-    """Return the median disagreement of the turns over a lag, or None where they are too few."""
-    if lag > len(pairs) // 2:
-        return None
-    motions = thinned(select_motions(pairs, f'B{lag}'), _MOTIONS)
-    turn_a = se3.log_so3(motions.A[:, :3, :3])
-    turn_b = se3.log_so3(motions.B[:, :3, :3]) @ T_a_b[:3, :3].T
-    size = np.hypot(*(np.linalg.norm(turn, axis=1) for turn in (turn_a, turn_b))) / np.sqrt(2)
-    large = (size > _LEAST_TURN) & (size < _LARGEST_TURN)
-    if large.sum() < _LEAST_TURNS:
-        return None
-    difference = np.sum((turn_a[large] - turn_b[large])**2, axis=1)
-    return float(np.median(difference / (2 * size[large]**2)))
+def _turns(pairs: PosePairs) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield (K, 3) turns of a and of b over each lag that has enough large ones."""
+    for lag in _LAGS:
+        if lag > len(pairs) // 2:
+            return
+        motions = thinned(select_motions(pairs, f'B{lag}'), _MOTIONS)
+        turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
+        size = _size(turn_a, turn_b)
+        large = (size > _LEAST_TURN) & (size < _LARGEST_TURN)
+        if large.sum() >= _LEAST_TURNS:
+            yield turn_a[large], turn_b[large]
+
+
+def _least_disagreement(turns: Sequence[tuple[FloatArray, FloatArray]]) -> float:
+    """Return the disagreement over the best lag, with the best rotation between the sensors."""
+    return min(_disagreement(turn_a, turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T)
+               for turn_a, turn_b in turns)
+
+
+def _size(turn_a: FloatArray, turn_b: FloatArray) -> FloatArray:
+    """Return the (K,) root mean square of the two angles of (K, 3) turns."""
+    squares = np.sum(turn_a**2, axis=1) + np.sum(turn_b**2, axis=1)
+    root: FloatArray = np.sqrt(squares / 2)
+    return root
+
+
+def _disagreement(turn_a: FloatArray, turn_b: FloatArray) -> float:
+    """Return the median disagreement of (K, 3) turns, both in the axes of a."""
+    difference = np.sum((turn_a - turn_b)**2, axis=1)
+    return float(np.median(difference / (2 * _size(turn_a, turn_b)**2)))

@@ -75,15 +75,15 @@ def calibrate(
     )
     choice = choose_reference(pairs, config)
     motions = select_motions(pairs, choice.reference)
-    names = trajectory_a.sensor_frame, trajectory_b.sensor_frame
+    agreed = pairs, trajectory_a, trajectory_b, config
     try:
         solution = solve(motions, config)
     except SolverError:
         # What two vehicles did may have no solution, which is then not what is wrong.
         with suppress(SolverError):
-            require_agreement(load_solver('park')(motions, config).T_a_b, pairs, *names)
+            require_agreement(load_solver('park')(motions, config).T_a_b, *agreed)
         raise
-    require_agreement(solution.T_a_b, pairs, *names)
+    require_agreement(solution.T_a_b, *agreed)
     uncertainty = estimate_uncertainty(solution, motions)
     if choice.known is not None:
         uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)
