@@ -33,8 +33,10 @@ def interpolate(
 
     Parameters
     ----------
-    stamps_ns : (N,) int64, strictly increasing, N >= 2.
+    stamps_ns : (N,) int64
+        Strictly increasing, N >= 2.
     poses : (N, 4, 4)
+        Of the trajectory.
     at_ns : (K,) int64
         Times outside the span continue the first and the last geodesic.
     max_gap_ns : int or None
