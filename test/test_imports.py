@@ -17,6 +17,8 @@ FLOW = (
     ('errors', 'version'),
     ('se3', 'reading', 'writing'),
     ('trajectory', 'interpolation'),
+    ('turning',),
+    ('clock_drift',),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),
     ('solvers.__init__',),

@@ -338,13 +338,18 @@ def test_clock_rate_and_gaps():
     scenario = Scenario(
         duration=30.0, b=Sensor(rate=30.0, clock_offset=1.5, gaps=2, gap=2.0, sensor_frame='c'))
     pair = simulate(scenario, 18)
-    whole = simulate(replace(scenario, b=replace(scenario.b, gaps=0)), 18)
+    whole_sensor = replace(scenario.b, gaps=0)
+    whole = simulate(replace(scenario, b=whole_sensor), 18)
     assert len(pair.a) == 301
     assert len(whole.b) == 901
     assert whole.b.stamps_ns[0] - pair.a.stamps_ns[0] == 1_500_000_000
     missing = len(whole.b) - len(pair.b)
     assert 60 <= missing <= 120
     assert np.diff(pair.b.stamps_ns).max() >= 2_000_000_000
+    fast = simulate(replace(scenario, b=replace(whole_sensor, clock_drift=1e-4)), 18).b
+    np.testing.assert_allclose(
+        fast.stamps_ns - fast.stamps_ns[0], 1.0001 * (whole.b.stamps_ns - whole.b.stamps_ns[0]),
+        atol=1)
     kept = np.isin(whole.b.stamps_ns, pair.b.stamps_ns)
     np.testing.assert_array_equal(pair.b.poses, whole.b.poses[kept])
 
@@ -365,6 +370,8 @@ def test_the_largest_noise_is_still_a_trajectory(noise):
     lambda: Noise(white=1e308),
     lambda: Noise(jumps=10**7),
     lambda: Sensor(clock_offset=float('nan')),
+    lambda: Sensor(clock_drift=float('nan')),
+    lambda: Sensor(clock_drift=0.02),
     lambda: Sensor(clock_offset=1e300),
     lambda: Sensor(clock_offset=-1.8e9),
     lambda: Scenario(duration=0.01),

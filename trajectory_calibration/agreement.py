@@ -82,9 +82,10 @@ def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
     """
     b = replace(b, poses=se3.inverse(b.poses))
     with suppress(AssociationError):
-        offset = synchronise(a, b, config.time_offset, config.mode('time_offset'),
-                             config.max_time_offset)
-        turns = list(_turns(associate(a, b, time_offset_ns=round(offset * 1e9))))
+        clock = synchronise(a, b, config.time_offset, config.mode('time_offset'),
+                            config.max_time_offset)
+        turns = list(_turns(associate(
+            a, b.retimed(clock.drift), time_offset_ns=round(clock.offset_s * 1e9))))
         return _least_disagreement(turns) if turns else np.inf
     return np.inf
 

@@ -17,7 +17,7 @@ from trajectory_calibration.priors import apply_prior, contradictions
 from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.synchronisation import synchronise
+from trajectory_calibration.synchronisation import Clock, synchronise
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.uncertainty import estimate_uncertainty
 
@@ -62,16 +62,17 @@ def calibrate(
     config = config or CalibrationConfig()
     solve = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)
-    time_offset = synchronise(
+    clock = synchronise(
         trajectory_a, trajectory_b, config.time_offset, config.mode('time_offset'),
         config.max_time_offset)
+    trajectory_b = trajectory_b.retimed(clock.drift)
     pairs = associate(
         trajectory_a,
         trajectory_b,
         method=config.association,
         max_difference_ns=round(config.max_time_difference * 1e9),
         max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(time_offset * 1e9),
+        time_offset_ns=round(clock.offset_s * 1e9),
     )
     choice = choose_reference(pairs, config)
     motions = select_motions(pairs, choice.reference)
@@ -110,12 +111,13 @@ def calibrate(
         optimality_gap=solution.optimality_gap,
         scale=config.scale * solution.scale,
         time_offset_s=pairs.summary.time_offset_s + solution.time_offset_s,
+        clock_drift=clock.drift,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
         warnings=(
             *trajectory_a.warnings,
             *trajectory_b.warnings,
             *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
-            *_offset_warning(time_offset, config.time_offset, trajectory_b),
+            *_clock_warnings(clock, config.time_offset, trajectory_b),
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.warnings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
@@ -125,11 +127,19 @@ def calibrate(
     )
 
 
-def _offset_warning(found_s: float, given_s: float, b: Trajectory) -> list[str]:
-    if found_s == given_s:
-        return []
-    offset = f'clock offset {1e3 * (found_s - given_s):+.1f} ms'
-    return [f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}']
+def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:
+    warnings = []
+    if clock.offset_s != given_s:
+        offset = f'clock offset {1e3 * (clock.offset_s - given_s):+.1f} ms'
+        warnings.append(
+            f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}')
+    if clock.drift:
+        apart = 1e3 * clock.drift * b.duration_s
+        warnings.append(
+            f'the clock of {b.sensor_frame} drifts: {1e6 * clock.drift:+.1f} ppm (+- '
+            f'{1e6 * clock.drift_std:.1f} ppm), {abs(apart):.1f} ms from its first pose to its '
+            'last, were added to it')
+    return warnings
 
 
 def _association_warnings(

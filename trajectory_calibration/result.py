@@ -55,6 +55,8 @@ class CalibrationResult:
     warnings : sentences about the data and the answer that a person should read.
     scale : metres of a per metre of b, by which b was multiplied.
     time_offset_s : seconds that were added to the stamps of b.
+    clock_drift : seconds a second by which the clock of b was made to run faster, before that
+        and from the middle of its time (``Trajectory.retimed``).
     diagnosis : the noise of the two trajectories as plain data, or None where the solver does
         not identify it.
     reference : of the motions: that of the settings, or what ``auto`` chose.
@@ -79,6 +81,7 @@ class CalibrationResult:
     warnings: tuple[str, ...] = ()
     scale: float = 1.0
     time_offset_s: float = 0.0
+    clock_drift: float = 0.0
     diagnosis: dict[str, Any] | None = None
     reference: str = ''
     reference_choice: str | None = None
@@ -127,6 +130,7 @@ class CalibrationResult:
             'e_aR_deg': None if truth is None else float(np.rad2deg(truth.e_aR)),
             'scale': self.scale,
             'time_offset_s': self.time_offset_s,
+            'clock_drift': self.clock_drift,
             'optimality_gap': self.optimality_gap,
             'observability': self.observability.to_dict(),
             'diagnosis': self.diagnosis,
@@ -173,6 +177,7 @@ class CalibrationResult:
                                for item in _of_kind(list, data['warnings'])),
                 scale=_number(data['scale']),
                 time_offset_s=_number(data['time_offset_s']),
+                clock_drift=_number(data['clock_drift']),
                 diagnosis=_optional(dict, data['diagnosis']),
                 reference=str(data['reference']),
                 reference_choice=_optional(str, data['reference_choice']),

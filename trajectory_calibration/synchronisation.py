@@ -18,10 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration import se3
+from trajectory_calibration.clock_drift import find_clock_drift
 from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.turning import longest_step_ns, ROUNDING, STEP_SHARE, Turning, turns
 
 # Cells of the grid on which rotations are correlated, at the most.
 _MAX_CELLS = 2**18
@@ -29,20 +30,8 @@ _MAX_CELLS = 2**18
 # The shortest cell, nanoseconds: faster turning is vibration.
 _LEAST_CELL_NS = 5_000_000
 
-# A step longer than this many usual ones (and half a second) is a gap, in which nothing is known.
-_GAP_FACTOR = 5.0
-_GAP_NS = 500_000_000
-
 # An offset must leave this share of the shorter trajectory in common.
 _LEAST_OVERLAP = 0.3
-
-# Length of the motions that refine the offset, in cells and nanoseconds, and how many are used.
-_WINDOW_CELLS = 2
-_WINDOW_NS = 300_000_000
-_MAX_WINDOWS = 5_000
-
-# Larger rotations (radians) are left out: half a turn one way is half a turn the other way.
-_MAX_ANGLE = 2.5
 
 # The parabolas that refine the offset go through this many points. The first ones reach over this
 # many cells to either side; the last ones less, but not much less than a step of a: a narrower
@@ -51,12 +40,6 @@ _MAX_ANGLE = 2.5
 _POINTS = 7
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
-
-# Of sums of squares, that leaves nothing but rounding of their difference.
-_ROUNDING = 1e-12
-
-# Motion between the poses of a is not known; this share of their usual step is uncertain.
-_STEP_SHARE = 0.005
 
 # An offset is told from zero where it exceeds this many standard deviations, and this time.
 _SIGNIFICANT = 5.0
@@ -86,16 +69,34 @@ class ClockOffset:
     def significant(self) -> bool:
         """Tell whether the sensors turned together, and zero is out of the question."""
         return (self.correlation >= _LEAST_CORRELATION
-                and abs(self.seconds) > max(_SIGNIFICANT * self.std, _NEGLIGIBLE_S))
+                and _is_significant(self.seconds, self.std))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What takes the stamps of b into the clock of a.
+
+    Attributes
+    ----------
+    offset_s : seconds to add to the stamps of b; where its clock drifts, in their middle.
+    drift : seconds a second by which the clock of b must run faster (``Trajectory.retimed``).
+    drift_std : its standard deviation; zero where there is none.
+
+    """
+
+    offset_s: float
+    drift: float = 0.0
+    drift_std: float = 0.0
 
 
 def synchronise(
     a: Trajectory, b: Trajectory, time_offset_s: float, mode: str, max_offset_s: float,
-) -> float:
-    """Return the seconds to add to the stamps of b.
+) -> Clock:
+    """Return what to do with the stamps of b.
 
     ``mode`` is 'fixed': ``time_offset_s`` as given; 'estimate': what the turning tells, within
-    ``max_offset_s`` of it; 'auto': the same where it is significantly different.
+    ``max_offset_s`` of it; 'auto': the same where it is significantly different. Unless the mode
+    is fixed, a drift of the clock is told where it is significant.
 
     Raises
     ------
@@ -104,18 +105,29 @@ def synchronise(
 
     """
     if mode == 'fixed' or max_offset_s == 0:
-        return time_offset_s
+        return Clock(time_offset_s)
     shift_ns = round(time_offset_s * 1e9)
     shifted = b if shift_ns == 0 else replace(b, stamps_ns=b.stamps_ns + shift_ns)
     found = find_clock_offset(a, shifted, max_offset_s)
-    if mode == 'estimate':
-        if found is None or found.correlation < _LEAST_CORRELATION:
-            raise AssociationError(
-                f'the clock offset within {max_offset_s:g} s cannot be told: {a.sensor_frame} and '
-                f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
-                'raise max_time_offset')
-        return time_offset_s + found.seconds
-    return time_offset_s + (found.seconds if found is not None and found.significant else 0.0)
+    if found is None or found.correlation < _LEAST_CORRELATION:
+        if mode == 'auto':
+            return Clock(time_offset_s)
+        raise AssociationError(
+            f'the clock offset within {max_offset_s:g} s cannot be told: {a.sensor_frame} and '
+            f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
+            'raise max_time_offset')
+    drift = find_clock_drift(a, shifted, round(found.seconds * 1e9), _cell_ns(a, shifted))
+    if drift is not None and _is_significant(drift.rate, drift.std, 0.5 * b.duration_s):
+        found = find_clock_offset(a, shifted.retimed(drift.rate), max_offset_s) or found
+        return Clock(time_offset_s + found.seconds, drift.rate, drift.std)
+    if mode == 'estimate' or found.significant:
+        return Clock(time_offset_s + found.seconds)
+    return Clock(time_offset_s)
+
+
+def _is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
+    """Tell whether a value is out of its error, and adds up to something in so many seconds."""
+    return abs(value) > max(_SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
 
 
 def find_clock_offset(
@@ -129,20 +141,26 @@ def find_clock_offset(
     """
     cell_ns = _cell_ns(a, b)
     start_ns = min(int(a.stamps_ns[0]), int(b.stamps_ns[0]))
-    turns_a = _turns(a)
+    turns_a = turns(a)
     turned_a, known_a = _turned_in_cells(a, turns_a, start_ns, cell_ns)
-    turned_b, known_b = _turned_in_cells(b, _turns(b), start_ns, cell_ns)
+    turned_b, known_b = _turned_in_cells(b, turns(b), start_ns, cell_ns)
     lags, correlation = _correlate(turned_a, known_a, turned_b, known_b)
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
     if not (correlation[allowed] > 0).any():
         return None
     best = int(np.argmax(np.where(allowed, correlation, -1.0)))
-    refined = _refine(a, turns_a, b, int(lags[best]) * cell_ns, cell_ns)
-    # Beyond the limit it is the foot of a hill whose top was not looked at.
-    if refined is None or abs(refined[0]) > max_offset_s:
+    start_ns = int(lags[best]) * cell_ns
+    turning = Turning.over_windows(a, turns_a, b, start_ns, cell_ns)
+    refined = None if turning is None else _refine(
+        turning, float(np.median(np.diff(a.stamps_ns))) * 1e-9, cell_ns * 1e-9)
+    if refined is None:
         return None
-    seconds, std = refined
+    shift, std = refined
+    seconds = start_ns * 1e-9 + shift
+    # Beyond the limit it is the foot of a hill whose top was not looked at.
+    if abs(seconds) > max_offset_s:
+        return None
     return ClockOffset(seconds, std, float(correlation[best]))
 
 
@@ -163,13 +181,9 @@ def _turned_in_cells(
     at_edges = np.column_stack([np.interp(edges, stamps_ns, axis) for axis in total.T])
     inside = (edges[:-1] >= stamps_ns[0]) & (edges[1:] <= stamps_ns[-1])
     left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(turns) - 1)
-    gap = np.diff(stamps_ns) > _longest_step_ns(trajectory)
+    gap = np.diff(stamps_ns) > longest_step_ns(trajectory)
     known = inside & ~gap[left[:-1]] & ~gap[left[1:]]
     return np.diff(at_edges, axis=0) * known[:, None], known
-
-
-def _longest_step_ns(trajectory: Trajectory) -> float:
-    return max(_GAP_FACTOR * float(np.median(np.diff(trajectory.stamps_ns))), _GAP_NS)
 
 
 def _correlate(
@@ -202,72 +216,30 @@ def _correlate(
     return np.where(index < size // 2, index, index - size), correlation
 
 
-def _refine(
-    a: Trajectory, turns_a: FloatArray, b: Trajectory, offset_ns: int, cell_ns: int,
-) -> tuple[float, float] | None:
-    """Return offset and standard deviation (seconds) at the least disagreement near a start."""
-    step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS)
-                        / float(np.median(np.diff(b.stamps_ns)))))
-    if len(b) <= step:
-        return None
-    i = np.arange(0, len(b) - step, max(1, (len(b) - step) // _MAX_WINDOWS))
-    j = i + step
-    times = b.stamps_ns
-    reach = int(2 * _REACH_CELLS * cell_ns)
-    usable = (_covered(a, times[i] + offset_ns, reach) & _covered(a, times[j] + offset_ns, reach)
-              & (times[j] - times[i] <= 2 * step * float(np.median(np.diff(times)))))
-    turned_b = se3.log_so3(np.swapaxes(b.rotations[i], 1, 2) @ b.rotations[j])
-    usable &= np.linalg.norm(turned_b, axis=1) < _MAX_ANGLE
-    i, j, turned_b = i[usable], j[usable], turned_b[usable]
-    if len(i) < 3 * step:
-        return None
-    turned = float(np.sum(turned_b**2))
+def _refine(turning: Turning, step_a_s: float, cell_s: float) -> tuple[float, float] | None:
+    """Return the shift (seconds) of least disagreement near zero, and its standard deviation."""
+    turned = float(np.sum(turning.of_b**2))
 
     def disagreement(shift_s: float) -> float:
-        at = offset_ns + round(shift_s * 1e9)
-        turned_a = se3.log_so3(np.swapaxes(_rotation_at(a, turns_a, times[i] + at), 1, 2)
-                               @ _rotation_at(a, turns_a, times[j] + at))
-        M = turned_a.T @ turned_b
+        turned_a = turning.of_a(round(shift_s * 1e9))
+        M = turned_a.T @ turning.of_b
         singular = np.linalg.svd(M, compute_uv=False)
         gain = singular.sum() - 2 * singular[2] * (np.linalg.det(M) < 0)
-        return float(np.sum(turned_a**2) + np.sum(turned_b**2) - 2 * gain)
+        return float(np.sum(turned_a**2) + turned - 2 * gain)
 
-    widest = _REACH_CELLS * cell_ns * 1e-9
-    step_a = float(np.median(np.diff(a.stamps_ns))) * 1e-9
-    last = min(max(_LAST_REACH_STEPS * step_a, _LAST_REACH_CELLS * cell_ns * 1e-9), widest)
+    widest = _REACH_CELLS * cell_s
+    last = min(max(_LAST_REACH_STEPS * step_a_s, _LAST_REACH_CELLS * cell_s), widest)
     shift, curvature = 0.0, 0.0
     for reach_s in [widest] * _PARABOLAS + [last] * _PARABOLAS:
         around = np.linspace(-reach_s, reach_s, _POINTS)
         square, slope, _ = np.polyfit(around, [disagreement(shift + d) for d in around], 2)
         curvature = 2 * float(square)
         # Who turns at a constant rate agrees at any offset, but for rounding.
-        if curvature * reach_s**2 <= _ROUNDING * turned:
+        if curvature * reach_s**2 <= ROUNDING * turned:
             return None
         # The start is within a cell of the best offset.
         shift = float(np.clip(shift - float(slope) / curvature, -widest, widest))
-    # Motions that overlap share their noise: each counts as one of ``step``.
     # Without noise the disagreement is rounding, which may fall below zero.
-    variance = max(disagreement(shift), 0.0) / (3 * len(i)) * min(step, len(i))
-    std = np.hypot(np.sqrt(2 * variance / curvature), _STEP_SHARE * step_a)
-    return offset_ns * 1e-9 + shift, float(std)
-
-
-def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-    """Tell at which times a is known, ``reach`` before and after included."""
-    stamps = a.stamps_ns
-    inside = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
-    left = np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, len(stamps) - 2)
-    return inside & (stamps[left + 1] - stamps[left] <= _longest_step_ns(a))
-
-
-def _turns(trajectory: Trajectory) -> FloatArray:
-    """Return (N - 1, 3) rotation vectors from each pose to the next."""
-    R = trajectory.rotations
-    return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
-
-
-def _rotation_at(a: Trajectory, turns: FloatArray, times: NDArray[np.int64]) -> FloatArray:
-    right = np.clip(np.searchsorted(a.stamps_ns, times), 1, len(a) - 1)
-    left = right - 1
-    fraction = (times - a.stamps_ns[left]) / (a.stamps_ns[right] - a.stamps_ns[left])
-    return a.rotations[left] @ se3.exp_so3(fraction[:, None] * turns[left])
+    variance = max(disagreement(shift), 0.0) / (3 * len(turning)) * turning.overlapping
+    std = np.hypot(np.sqrt(2 * variance / curvature), STEP_SHARE * step_a_s)
+    return shift, float(std)

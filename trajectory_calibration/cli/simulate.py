@@ -44,6 +44,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
         group.add_argument(
             f'--clock-offset-{name}', type=float, metavar='S', help='its clock is ahead by this')
+        group.add_argument(
+            f'--clock-drift-{name}', type=float, metavar='S/S', help='its clock is faster by this')
         group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='intervals without poses')
         group.add_argument(f'--gap-{name}', type=float, metavar='S', help='their length')
         group.add_argument(f'--frame-{name}', metavar='FRAME', help='name of its frame')
@@ -85,6 +87,7 @@ def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         given = {
             'rate': getattr(arguments, f'rate_{name}'),
             'clock_offset': getattr(arguments, f'clock_offset_{name}'),
+            'clock_drift': getattr(arguments, f'clock_drift_{name}'),
             'gaps': getattr(arguments, f'gaps_{name}'),
             'gap': getattr(arguments, f'gap_{name}'),
             'sensor_frame': getattr(arguments, f'frame_{name}'),
@@ -137,5 +140,8 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     write_transform(truth, pair.T_a_b)
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
     clocks = ['--time-offset', f'{offset:.12g}'] if offset else []
+    if offset and (arguments.clock_drift_a or arguments.clock_drift_b):
+        # An offset that is given is fixed otherwise, and the drift with it.
+        clocks += ['--time-offset-mode', 'estimate']
     return shlex.join(map(str, [
         'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', truth, *clocks]))

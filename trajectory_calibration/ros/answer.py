@@ -47,8 +47,9 @@ def describe(result: CalibrationResult, file: str = '') -> str:
         lines.append(f'not observed: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
         lines.append(f'scale of {result.frame_b}: {result.scale:.5f}')
-    if result.time_offset_s:
-        lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s')
+    if result.time_offset_s or result.clock_drift:
+        drift = f', {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
+        lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
     lines.append(
         f'data: {result.motions} motions of {result.poses} poses, e_rt '
         f'{result.metrics.e_rt:.4f} m, e_rR {np.rad2deg(result.metrics.e_rR):.3f} deg')

@@ -19,6 +19,9 @@ START_NS = 1_700_000_000_000_000_000
 # Seconds by which a clock may be off: stamps stay those of a message, 32 bits from 0 up.
 _CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
 
+# Seconds a second: no oscillator is so bad, and no daemon that steers one.
+_MOST_DRIFT = 0.01
+
 # Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
 _REACH = 0.5
 
@@ -34,7 +37,8 @@ class Sensor:
     ----------
     rate : poses per second.
     noise : errors of the poses.
-    clock_offset : seconds by which its clock is ahead.
+    clock_offset : seconds by which its clock is ahead at the start.
+    clock_drift : seconds a second by which it runs faster.
     gaps : number of intervals, at random times, without poses.
     gap : their length, seconds.
     sensor_frame, world_frame : names.
@@ -44,6 +48,7 @@ class Sensor:
     rate: float = 10.0
     noise: Noise = field(default_factory=Noise)
     clock_offset: float = 0.0
+    clock_drift: float = 0.0
     gaps: int = 0
     gap: float = 1.0
     sensor_frame: str = 'lidar'
@@ -56,6 +61,9 @@ class Sensor:
         if not low <= self.clock_offset <= high:
             raise ConfigError(
                 f'clock offset is {self.clock_offset}, needed {low} to {high} s')
+        if not abs(self.clock_drift) <= _MOST_DRIFT:
+            raise ConfigError(
+                f'clock drift is {self.clock_drift}, needed plus or minus {_MOST_DRIFT} s/s')
         if not (self.gaps >= 0 and self.gap >= 0):
             raise ConfigError(
                 f'{self.gaps} gaps of {self.gap} s are asked for; needed numbers from 0 up')
@@ -169,7 +177,8 @@ def _observe(
     times = np.arange(len(poses)) / sensor.rate
     starts = np.random.default_rng(for_gaps).uniform(0, max(duration - sensor.gap, 0), sensor.gaps)
     hidden = ((times >= starts[:, None]) & (times < starts[:, None] + sensor.gap)).any(axis=0)
-    stamps_ns = START_NS + np.rint((times + sensor.clock_offset) * 1e9).astype(np.int64)
+    clock = times * (1 + sensor.clock_drift) + sensor.clock_offset
+    stamps_ns = START_NS + np.rint(clock * 1e9).astype(np.int64)
     disturbed = sensor.noise.disturb(poses, 1 / sensor.rate, for_noise)
     return Trajectory(stamps_ns[~hidden], disturbed[~hidden],
                       sensor.world_frame, sensor.sensor_frame)

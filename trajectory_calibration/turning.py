@@ -1,0 +1,142 @@
+"""How far two sensors turned over the same short times: what tells of their clocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration import se3
+from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.trajectory import Trajectory
+
+# A step longer than this many usual ones (and half a second) is a gap, in which nothing is known.
+_GAP_FACTOR = 5.0
+_GAP_NS = 500_000_000
+
+# Length of the windows, in cells and nanoseconds, and how many are used.
+_WINDOW_CELLS = 2
+_WINDOW_NS = 300_000_000
+_MAX_WINDOWS = 5_000
+
+# Multiples of it, less their whole parts, fill an interval evenly and without a period.
+_GOLDEN = (np.sqrt(5.0) - 1) / 2
+
+# Cells on either side of a window over which a has to be known.
+_REACH_CELLS = 3
+
+# Larger rotations (radians) are left out: half a turn one way is half a turn the other way.
+_MAX_ANGLE = 2.5
+
+# Of sums of squares, that leaves nothing but rounding of their difference.
+ROUNDING = 1e-12
+
+# Motion between the poses of a is not known; this share of their usual step is uncertain.
+STEP_SHARE = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """The turning of b over K windows of time, and that of a over the same ones or moved ones.
+
+    Attributes
+    ----------
+    a : the trajectory of a.
+    turns_a : (N - 1, 3), its rotation vectors from each pose to the next.
+    starts_ns, ends_ns : (K,) int64, the windows in the clock of a.
+    middle_ns : of the time of b, in the clock of a.
+    of_b : (K, 3) rotation vectors in the axes of b.
+    overlapping : windows that share their noise.
+
+    """
+
+    a: Trajectory
+    turns_a: FloatArray
+    starts_ns: NDArray[np.int64]
+    ends_ns: NDArray[np.int64]
+    middle_ns: int
+    of_b: FloatArray
+    overlapping: int
+
+    @classmethod
+    def over_windows(
+        cls, a: Trajectory, turns_a: FloatArray, b: Trajectory, offset_ns: int, cell_ns: int,
+    ) -> Turning | None:
+        """Return the turning of b in the clock of a; None where too little of it is known.
+
+        ``offset_ns`` is added to the stamps of b; cells of ``cell_ns`` resolve the motion.
+        """
+        usual = float(np.median(np.diff(b.stamps_ns)))
+        step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS) / usual))
+        if len(b) <= step:
+            return None
+        i = _spread(len(b) - step)
+        j = i + step
+        times = b.stamps_ns + offset_ns
+        reach = _REACH_CELLS * cell_ns
+        usable = (_covered(a, times[i], reach) & _covered(a, times[j], reach)
+                  & (times[j] - times[i] <= 2 * step * usual))
+        of_b = se3.log_so3(np.swapaxes(b.rotations[i], 1, 2) @ b.rotations[j])
+        usable &= np.linalg.norm(of_b, axis=1) < _MAX_ANGLE
+        if usable.sum() < 3 * step:
+            return None
+        return cls(a, turns_a, times[i[usable]], times[j[usable]], b.middle_ns + offset_ns,
+                   of_b[usable], min(step, int(usable.sum())))
+
+    def __len__(self) -> int:
+        return len(self.of_b)
+
+    def of_a(self, shift_ns: int = 0, drift: float = 0.0) -> FloatArray:
+        """Return the (K, 3) rotation vectors of a, in its axes, over the windows moved.
+
+        Later by ``shift_ns`` in the middle, and by ``drift`` (s/s) more from there on.
+        """
+        start, end = (self._rotation_at(self._moved(times, shift_ns, drift))
+                      for times in (self.starts_ns, self.ends_ns))
+        return se3.log_so3(np.swapaxes(start, 1, 2) @ end)
+
+    def _moved(
+        self, times: NDArray[np.int64], shift_ns: int, drift: float,
+    ) -> NDArray[np.int64]:
+        moved = times + shift_ns
+        if drift != 0.0:
+            moved += np.rint(drift * (times - self.middle_ns)).astype(np.int64)
+        return moved
+
+    def _rotation_at(self, times: NDArray[np.int64]) -> FloatArray:
+        stamps = self.a.stamps_ns
+        right = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
+        left = right - 1
+        fraction = (times - stamps[left]) / (stamps[right] - stamps[left])
+        return self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.turns_a[left])
+
+
+def _spread(count: int) -> NDArray[np.intp]:
+    """Return which of ``count`` windows are used, never in step with what a driver does.
+
+    Even strides would be: turns that change every two seconds would all be cut at the same place,
+    and a clock offset of 10 ms be proved that is none.
+    """
+    stride = max(1, count // _MAX_WINDOWS)
+    first = np.arange(0, count - stride + 1, stride)
+    return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp)
+
+
+def turns(trajectory: Trajectory) -> FloatArray:
+    """Return (N - 1, 3) rotation vectors from each pose to the next."""
+    R = trajectory.rotations
+    return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+
+
+def longest_step_ns(trajectory: Trajectory) -> float:
+    """Return what a step is at most; a longer one is a gap."""
+    return max(_GAP_FACTOR * float(np.median(np.diff(trajectory.stamps_ns))), _GAP_NS)
+
+
+def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
+    """Tell at which times a is known, ``reach`` before and after included."""
+    stamps = a.stamps_ns
+    inside = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
+    left = np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, len(stamps) - 2)
+    return inside & (stamps[left + 1] - stamps[left] <= longest_step_ns(a))
