@@ -22,7 +22,7 @@ import time
 
 import numpy as np
 
-from trajectory_calibration import se3
+from trajectory_calibration import calibrate, se3
 from trajectory_calibration.association import associate, associate_nearest
 from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES, simulation_runs
 from trajectory_calibration.benchmark.tasks import HARDEST
@@ -111,18 +111,21 @@ def published_drives(data):
     for sequence in reversed(SEQUENCES):
         drive = read_kitti(data, sequence)
         both = drive.a, drive.b
-        for name, pairs in (
-                ('interpolated', associate(*both, method='interpolate', max_gap_ns=500_000_000)),
-                ('coinciding', associate_nearest(*both, max_difference_ns=12_000_000))):
+        interpolated = associate(*both, method='interpolate', max_gap_ns=500_000_000)
+        coinciding = associate_nearest(*both, max_difference_ns=12_000_000)
+        for name, solve, given, poses in (
+                ('calibrate()', calibrate, both, None),
+                ('interpolated', solve_pairs, (interpolated, AUTO), len(interpolated)),
+                ('coinciding', solve_pairs, (coinciding, AUTO), len(coinciding))):
             start = time.process_time()
-            solution = solve_pairs(pairs, AUTO)
+            solution = solve(*given)
             seconds = time.process_time() - start
             error = absolute_errors(solution.T_a_b, drive.T_a_b_file)
             beside = ''
             if drive.T_a_b_corrected is not drive.T_a_b_file:
                 corrected = absolute_errors(solution.T_a_b, drive.T_a_b_corrected)
                 beside = f'{corrected.e_at:.4f} m, {np.rad2deg(corrected.e_aR):.3f} deg'
-            print(f'| {sequence[:10]}, {name} | {len(pairs)} | {error.e_at:.4f} | '
+            print(f'| {sequence[:10]}, {name} | {poses or solution.poses} | {error.e_at:.4f} | '
                   f'{np.rad2deg(error.e_aR):.3f} | {beside} | {solution.scale:.4f} | '
                   f'{normalised_square(solution, drive.T_a_b_corrected):.1f} | {seconds:.2f} |')
 

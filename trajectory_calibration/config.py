@@ -114,7 +114,8 @@ class CalibrationConfig:
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
-        'auto', f'{_MODES}, unless time_offset is other than 0', choices=MODES)
+        'auto', f'{_MODES}, unless time_offset is other than 0; not fixed, a clock that '
+        'drifts is corrected as well', choices=MODES)
     max_time_offset: float = _option(
         5.0, 'largest clock offset that is looked for around time_offset, seconds; drift_aware '
         'refines what is found, 0 leaves the clocks alone', minimum=0.0, maximum=3600.0)

@@ -134,11 +134,11 @@ def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:
         warnings.append(
             f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}')
     if clock.drift:
-        apart = 1e3 * clock.drift * b.duration_s
+        apart_ms = abs(1e3 * clock.drift * b.duration_s)
         warnings.append(
-            f'the clock of {b.sensor_frame} drifts: {1e6 * clock.drift:+.1f} ppm (+- '
-            f'{1e6 * clock.drift_std:.1f} ppm), {abs(apart):.1f} ms from its first pose to its '
-            'last, were added to it')
+            f'the clock of {b.sensor_frame} runs {"slow" if clock.drift > 0 else "fast"} by '
+            f'{abs(1e6 * clock.drift):.1f} ppm (+- {1e6 * clock.drift_std:.1f} ppm): '
+            f'{apart_ms:.1f} ms from its first pose to its last, taken out of its stamps')
     return warnings
 
 

@@ -52,7 +52,7 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
     if result.time_offset_s:
         rows['time offset'] = f'{_fixed(result.time_offset_s, 4)} s on {b}'
     if result.clock_drift:
-        rows['clock drift'] = f'{1e6 * result.clock_drift:+.1f} ppm on {b}, from its middle'
+        rows['clock drift'] = f'{1e6 * result.clock_drift:+.1f} ppm on {b}, zero in its middle'
     rows['method'] = f'{result.config.solver}, version {result.version}'
     rows['reference'] = result.reference_choice or reference
     lines = [line for warning in result.warnings
