@@ -134,7 +134,7 @@ class Trajectory:
 
     @property
     def middle_ns(self) -> int:
-        """The time half-way between the first and the last stamp, nanoseconds."""
+        """Half-way between the first and the last stamp, nanoseconds."""
         return (int(self.stamps_ns[0]) + int(self.stamps_ns[-1])) // 2
 
     @property
