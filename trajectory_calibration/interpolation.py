@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
@@ -10,6 +11,12 @@ from trajectory_calibration.se3 import FloatArray
 
 # A neighbour turned by more than this may have turned the other way round.
 _FARTHEST_TURN = np.pi / 2
+
+# The twist changes from one step to the next by this many times the median over so many poses
+# around only where a SLAM jumped, or a simulated driver leapt. Of a jump a sixteenth would get
+# into the next interval, too little to be set aside; in white noise that matters from four times
+# the median on, which noise itself reaches by chance.
+_LEAP, _AROUND = 8.0, 11
 
 
 def interpolate(
@@ -25,11 +32,12 @@ def interpolate(
     space at the geodesic's point. It is exact where the twist is constant, its error falls with
     the fourth power of the step where the motion is smooth (that of the geodesic: with the
     second), and it is the same path in whichever frames the sensor and its world are, for the
-    tangents of ``G T X`` are those of ``T`` times a matrix. At the ends, and beside a gap longer
-    than ``max_gap_ns``, the quadratic through three poses.
+    tangents of ``G T X`` are those of ``T`` times a matrix. Without a neighbour on one side (an
+    end, a gap longer than ``max_gap_ns``, a leap of the twist), the quadratic through three
+    poses; with none, the geodesic.
 
-    The geodesic remains where stamps are so uneven that the squared weights add up to more than
-    1, so that no guess is noisier than a pose is.
+    The geodesic also remains where stamps are so uneven that the squared weights add up to more
+    than 1: no guess is noisier than a pose is.
 
     Parameters
     ----------
@@ -40,7 +48,7 @@ def interpolate(
     at_ns : (K,) int64
         Times outside the span continue the first and the last geodesic.
     max_gap_ns : int or None
-        The longest gap beyond which a pose still tells of the path; None: any.
+        A pose beyond a longer gap is no neighbour; None: it always is.
 
     """
     left = np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
@@ -55,12 +63,30 @@ def interpolate(
     origin = se3.inverse(result[between])
     tangents = np.stack([se3.log_se3(origin @ poses[k]) for k in around.T], axis=1)
     known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _FARTHEST_TURN
+    leaps = _leaps(stamps_ns, poses)
+    known[:, 0] &= ~leaps[around[:, 1]]
+    known[:, 3] &= ~leaps[around[:, 2]]
     weights = _lagrange((stamps_ns[around] - at_ns[between, None]) * 1e-9, known)
     sound = np.einsum('ij,ij->i', weights, weights) <= 1
     steps = np.einsum('ij,ijk->ik', weights[sound], tangents[sound])
     between = between[sound]
     result[between] = result[between] @ se3.exp_se3(steps)
     return result
+
+
+def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]:
+    """Tell at which of the (N,) poses the twist is another one all of a sudden."""
+    leaps = np.zeros(len(poses), bool)
+    if len(poses) < _AROUND:
+        return leaps
+    seconds = np.diff(stamps_ns)[:, None] * 1e-9
+    change = np.diff(se3.log_se3(se3.inverse(poses[:-1]) @ poses[1:]) / seconds, axis=0)
+    for part in (change[:, :3], change[:, 3:]):
+        size = np.linalg.norm(part, axis=1)
+        padded = np.pad(size, _AROUND // 2, mode='reflect')
+        usual = np.median(sliding_window_view(padded, _AROUND), axis=1)
+        leaps[1:-1] |= size > _LEAP * usual
+    return leaps
 
 
 def _lagrange(nodes: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
