@@ -85,7 +85,10 @@ def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
         clock = synchronise(a, b, config.time_offset, config.mode('time_offset'),
                             config.max_time_offset)
         turns = list(_turns(associate(
-            a, b.retimed(clock.drift), time_offset_ns=round(clock.offset_s * 1e9))))
+            a, b.retimed(clock.drift, clock.drift_from_ns), method=config.association,
+            max_difference_ns=round(config.max_time_difference * 1e9),
+            max_gap_ns=round(config.max_gap * 1e9),
+            time_offset_ns=round(clock.offset_s * 1e9))))
         return _least_disagreement(turns) if turns else np.inf
     return np.inf
 

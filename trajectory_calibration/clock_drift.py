@@ -18,11 +18,17 @@ from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.turning import ROUNDING, STEP_SHARE, Turning, turns
 
-# Half-width of the difference quotient by time, in usual steps of a and in cells.
-_HALF_STEPS, _HALF_CELLS = 0.5, 0.3
+# Half-width of the difference quotient by time, in cells, and then the next whole number of steps
+# of a. Over a part of a step the quotient has noise in common with the turn itself, which draws
+# the windows half-way between two poses: of sensors that hardly turn, the beat of their two rates
+# would be found for a drift, with certainty. Over whole steps the two are uncorrelated.
+_HALF_CELLS = 0.3
 
 # Turns farther off than this many times the median count less and less: jumps of a SLAM.
 _TAIL = 3.0
+
+# Five unknowns want more equations than these windows have.
+_LEAST_WINDOWS = 10
 
 # The regression is repeated, from where it led, until it moves by this share of its deviation.
 _SETTLED = 0.1
@@ -40,25 +46,30 @@ class ClockDrift:
     ----------
     rate : seconds per second.
     std : its standard deviation.
+    from_ns : stamp of b, before any offset, in the middle of the time that both have in common.
+    duration_s : that time.
 
     """
 
     rate: float
     std: float
+    from_ns: int
+    duration_s: float
 
 
 def find_clock_drift(
     a: Trajectory, b: Trajectory, offset_ns: int, cell_ns: int,
 ) -> ClockDrift | None:
-    """Return the drift of the clock of b, its stamps given the best constant offset.
+    """Return the drift of the clock of b, given the best constant offset of its stamps.
 
-    None where the turning is too little or too even to tell, or tells of what is no drift.
+    None where the turning is too little or too even to tell, or no clock drifts so much. Of a
+    clock that was set on the way it is the straight line through what it did.
     """
     turning = Turning.over_windows(a, turns(a), b, offset_ns, cell_ns)
     if turning is None:
         return None
     step_a_ns = float(np.median(np.diff(a.stamps_ns)))
-    half_ns = round(max(_HALF_STEPS * step_a_ns, _HALF_CELLS * cell_ns))
+    half_ns = round(step_a_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / step_a_ns)))
     shift, rate = 0.0, 0.0
     for _ in range(_MAX_ROUNDS):
         found = _regress(turning, shift, rate, half_ns)
@@ -69,8 +80,9 @@ def find_clock_drift(
         if abs(rate) > _LARGEST:
             return None
         if abs(rate_step) <= _SETTLED * std:
-            floor = STEP_SHARE * step_a_ns * 1e-9 / (0.5 * b.duration_s)
-            return ClockDrift(float(rate), float(np.hypot(std, floor)))
+            floor = STEP_SHARE * step_a_ns * 1e-9 / (0.5 * turning.duration_s)
+            return ClockDrift(float(rate), float(np.hypot(std, floor)),
+                              turning.middle_ns - offset_ns, turning.duration_s)
     return None
 
 
@@ -88,7 +100,10 @@ def _regress(
     # Who turns at a constant rate agrees at any offset, but for rounding.
     if np.sum(slope**2) * (half_ns * 1e-9)**2 <= ROUNDING * np.sum(of_a**2):
         return None
-    R = se3.nearest_rotation(of_a.T @ turning.of_b)
+    known = turning.known(shift_ns, rate, half_ns)
+    if known.sum() < _LEAST_WINDOWS:
+        return None
+    R = se3.nearest_rotation(of_a[known].T @ turning.of_b[known])
     residual = turning.of_b @ R.T - of_a
     since_middle = 0.5e-9 * (
         (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns))
@@ -97,8 +112,8 @@ def _regress(
     by_rate = slope * (since_middle / unit)[:, None]
     J = np.concatenate([np.stack([slope, by_rate], axis=2), -se3.skew(of_a)], axis=2)
     size = np.linalg.norm(residual, axis=1)
-    usual = max(float(np.median(size)), np.finfo(float).tiny)
-    weights = 1 / (1 + (size / (_TAIL * usual))**2)
+    usual = max(float(np.median(size[known])), np.finfo(float).tiny)
+    weights = known / (1 + (size / (_TAIL * usual))**2)
     weighted = weights[:, None, None] * J
     # About an axis that nothing turned about, the rotation is open: no part of the answer.
     inverse = np.linalg.pinv(np.einsum('kij,kil->jl', weighted, J), rcond=ROUNDING, hermitian=True)

@@ -65,7 +65,7 @@ def calibrate(
     clock = synchronise(
         trajectory_a, trajectory_b, config.time_offset, config.mode('time_offset'),
         config.max_time_offset)
-    trajectory_b = trajectory_b.retimed(clock.drift)
+    trajectory_b = trajectory_b.retimed(clock.drift, clock.drift_from_ns)
     pairs = associate(
         trajectory_a,
         trajectory_b,
@@ -112,6 +112,7 @@ def calibrate(
         scale=config.scale * solution.scale,
         time_offset_s=pairs.summary.time_offset_s + solution.time_offset_s,
         clock_drift=clock.drift,
+        clock_drift_from_ns=clock.drift_from_ns,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
         warnings=(
             *trajectory_a.warnings,

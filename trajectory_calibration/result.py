@@ -55,8 +55,9 @@ class CalibrationResult:
     warnings : sentences about the data and the answer that a person should read.
     scale : metres of a per metre of b, by which b was multiplied.
     time_offset_s : seconds that were added to the stamps of b.
-    clock_drift : seconds a second by which the clock of b was made to run faster, before that
-        and from the middle of its time (``Trajectory.retimed``).
+    clock_drift : seconds a second by which the clock of b was made to run faster before that.
+    clock_drift_from_ns : stamp of b at which the drift adds nothing: stamps of b became
+        ``t + clock_drift (t - clock_drift_from_ns) + time_offset_s``.
     diagnosis : the noise of the two trajectories as plain data, or None where the solver does
         not identify it.
     reference : of the motions: that of the settings, or what ``auto`` chose.
@@ -82,6 +83,7 @@ class CalibrationResult:
     scale: float = 1.0
     time_offset_s: float = 0.0
     clock_drift: float = 0.0
+    clock_drift_from_ns: int = 0
     diagnosis: dict[str, Any] | None = None
     reference: str = ''
     reference_choice: str | None = None
@@ -131,6 +133,7 @@ class CalibrationResult:
             'scale': self.scale,
             'time_offset_s': self.time_offset_s,
             'clock_drift': self.clock_drift,
+            'clock_drift_from_ns': self.clock_drift_from_ns,
             'optimality_gap': self.optimality_gap,
             'observability': self.observability.to_dict(),
             'diagnosis': self.diagnosis,
@@ -177,7 +180,9 @@ class CalibrationResult:
                                for item in _of_kind(list, data['warnings'])),
                 scale=_number(data['scale']),
                 time_offset_s=_number(data['time_offset_s']),
-                clock_drift=_number(data['clock_drift']),
+                # Saved before clocks were known to drift, a result has none.
+                clock_drift=_number(data.get('clock_drift', 0.0)),
+                clock_drift_from_ns=int(data.get('clock_drift_from_ns', 0)),
                 diagnosis=_optional(dict, data['diagnosis']),
                 reference=str(data['reference']),
                 reference_choice=_optional(str, data['reference_choice']),

@@ -78,14 +78,16 @@ class Clock:
 
     Attributes
     ----------
-    offset_s : seconds to add to the stamps of b; where its clock drifts, in their middle.
+    offset_s : seconds to add to the stamps of b, ``retimed`` by the drift.
     drift : seconds a second by which the clock of b must run faster (``Trajectory.retimed``).
-    drift_std : its standard deviation; zero where there is none.
+    drift_from_ns : stamp of b at which that adds nothing.
+    drift_std : standard deviation of the drift.
 
     """
 
     offset_s: float
     drift: float = 0.0
+    drift_from_ns: int = 0
     drift_std: float = 0.0
 
 
@@ -117,9 +119,13 @@ def synchronise(
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
             'raise max_time_offset')
     drift = find_clock_drift(a, shifted, round(found.seconds * 1e9), _cell_ns(a, shifted))
-    if drift is not None and _is_significant(drift.rate, drift.std, 0.5 * b.duration_s):
-        found = find_clock_offset(a, shifted.retimed(drift.rate), max_offset_s) or found
-        return Clock(time_offset_s + found.seconds, drift.rate, drift.std)
+    if drift is not None and _is_significant(drift.rate, drift.std, 0.5 * drift.duration_s):
+        retimed = find_clock_offset(
+            a, shifted.retimed(drift.rate, drift.from_ns), max_offset_s)
+        # An offset of the drifting clock is none of the other one.
+        if retimed is not None:
+            return Clock(time_offset_s + retimed.seconds, drift.rate,
+                         drift.from_ns - shift_ns, drift.std)
     if mode == 'estimate' or found.significant:
         return Clock(time_offset_s + found.seconds)
     return Clock(time_offset_s)

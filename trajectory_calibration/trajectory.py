@@ -120,22 +120,17 @@ class Trajectory:
         return Trajectory(self.stamps_ns, poses, self.world_frame, self.sensor_frame,
                           self.warnings)
 
-    def retimed(self, drift: float) -> Trajectory:
+    def retimed(self, drift: float, from_ns: int) -> Trajectory:
         """Return the trajectory as a clock that runs faster by ``drift`` (s/s) would have it.
 
-        The middle of its time stays where it is; itself where that is zero.
+        At ``from_ns`` the clocks agree. Itself where the drift is zero.
         """
         if drift == 0.0:
             return self
-        since_middle = self.stamps_ns - self.middle_ns
-        stamps_ns = self.stamps_ns + np.rint(drift * since_middle).astype(np.int64)
+        apart = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
+        stamps_ns = self.stamps_ns + apart
         return Trajectory(
             stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.warnings)
-
-    @property
-    def middle_ns(self) -> int:
-        """Half-way between the first and the last stamp, nanoseconds."""
-        return (int(self.stamps_ns[0]) + int(self.stamps_ns[-1])) // 2
 
     @property
     def positions(self) -> FloatArray:

@@ -15,10 +15,10 @@ from trajectory_calibration.trajectory import Trajectory
 _GAP_FACTOR = 5.0
 _GAP_NS = 500_000_000
 
-# Length of the windows, in cells and nanoseconds, and how many are used.
+# Length of the windows, in cells and nanoseconds; of more than twice this many some are used.
 _WINDOW_CELLS = 2
 _WINDOW_NS = 300_000_000
-_MAX_WINDOWS = 5_000
+_WINDOWS = 5_000
 
 # Multiples of it, less their whole parts, fill an interval evenly and without a period.
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
@@ -29,7 +29,7 @@ _REACH_CELLS = 3
 # Larger rotations (radians) are left out: half a turn one way is half a turn the other way.
 _MAX_ANGLE = 2.5
 
-# Of sums of squares, that leaves nothing but rounding of their difference.
+# A difference of sums of squares that is this share of them is rounding.
 ROUNDING = 1e-12
 
 # Motion between the poses of a is not known; this share of their usual step is uncertain.
@@ -45,7 +45,8 @@ class Turning:
     a : the trajectory of a.
     turns_a : (N - 1, 3), its rotation vectors from each pose to the next.
     starts_ns, ends_ns : (K,) int64, the windows in the clock of a.
-    middle_ns : of the time of b, in the clock of a.
+    middle_ns : of the time that both have in common, in the clock of a.
+    duration_s : of that time.
     of_b : (K, 3) rotation vectors in the axes of b.
     overlapping : windows that share their noise.
 
@@ -56,6 +57,7 @@ class Turning:
     starts_ns: NDArray[np.int64]
     ends_ns: NDArray[np.int64]
     middle_ns: int
+    duration_s: float
     of_b: FloatArray
     overlapping: int
 
@@ -71,7 +73,7 @@ class Turning:
         step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS) / usual))
         if len(b) <= step:
             return None
-        i = _spread(len(b) - step)
+        i, stride = _spread(len(b) - step)
         j = i + step
         times = b.stamps_ns + offset_ns
         reach = _REACH_CELLS * cell_ns
@@ -81,20 +83,28 @@ class Turning:
         usable &= np.linalg.norm(of_b, axis=1) < _MAX_ANGLE
         if usable.sum() < 3 * step:
             return None
-        return cls(a, turns_a, times[i[usable]], times[j[usable]], b.middle_ns + offset_ns,
-                   of_b[usable], min(step, int(usable.sum())))
+        first, last = max(a.stamps_ns[0], times[0]), min(a.stamps_ns[-1], times[-1])
+        return cls(
+            a, turns_a, times[i[usable]], times[j[usable]], int(first + (last - first) // 2),
+            float(last - first) * 1e-9, of_b[usable], -(-step // stride))
 
     def __len__(self) -> int:
         return len(self.of_b)
 
     def of_a(self, shift_ns: int = 0, drift: float = 0.0) -> FloatArray:
-        """Return the (K, 3) rotation vectors of a, in its axes, over the windows moved.
+        """Return the (K, 3) rotation vectors of a, in its axes, over the moved windows.
 
-        Later by ``shift_ns`` in the middle, and by ``drift`` (s/s) more from there on.
+        These are later by ``shift_ns`` in the middle, and by ``drift`` (s/s) more from there on.
         """
         start, end = (self._rotation_at(self._moved(times, shift_ns, drift))
                       for times in (self.starts_ns, self.ends_ns))
         return se3.log_so3(np.swapaxes(start, 1, 2) @ end)
+
+    def known(self, shift_ns: int, drift: float, reach_ns: int) -> NDArray[np.bool_]:
+        """Tell over which of the moved windows, ``reach_ns`` before and after, a is known."""
+        start, end = (_covered(self.a, self._moved(times, shift_ns, drift), reach_ns)
+                      for times in (self.starts_ns, self.ends_ns))
+        return start & end
 
     def _moved(
         self, times: NDArray[np.int64], shift_ns: int, drift: float,
@@ -112,15 +122,17 @@ class Turning:
         return self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.turns_a[left])
 
 
-def _spread(count: int) -> NDArray[np.intp]:
-    """Return which of ``count`` windows are used, never in step with what a driver does.
+def _spread(count: int) -> tuple[NDArray[np.intp], int]:
+    """Return which of ``count`` windows are used, and one of how many.
+
+    They are never in step with what a driver does.
 
     Even strides would be: turns that change every two seconds would all be cut at the same place,
     and a clock offset of 10 ms be proved that is none.
     """
-    stride = max(1, count // _MAX_WINDOWS)
+    stride = max(1, count // _WINDOWS)
     first = np.arange(0, count - stride + 1, stride)
-    return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp)
+    return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp), stride
 
 
 def turns(trajectory: Trajectory) -> FloatArray:
@@ -136,7 +148,9 @@ def longest_step_ns(trajectory: Trajectory) -> float:
 
 def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
     """Tell at which times a is known, ``reach`` before and after included."""
-    stamps = a.stamps_ns
-    inside = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
-    left = np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, len(stamps) - 2)
-    return inside & (stamps[left + 1] - stamps[left] <= longest_step_ns(a))
+    stamps, longest = a.stamps_ns, longest_step_ns(a)
+    covered = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
+    for at in (times - reach, times, times + reach):
+        left = np.clip(np.searchsorted(stamps, at, side='right') - 1, 0, len(stamps) - 2)
+        covered &= stamps[left + 1] - stamps[left] <= longest
+    return covered

@@ -48,7 +48,7 @@ def describe(result: CalibrationResult, file: str = '') -> str:
     if result.scale != 1.0:
         lines.append(f'scale of {result.frame_b}: {result.scale:.5f}')
     if result.time_offset_s or result.clock_drift:
-        drift = f', {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
+        drift = f', changing by {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
         lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
     lines.append(
         f'data: {result.motions} motions of {result.poses} poses, e_rt '

@@ -48,7 +48,7 @@ def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Ove
     """
     config = result.config
     pairs = associate(
-        a, b.retimed(result.clock_drift), method=config.association,
+        a, b.retimed(result.clock_drift, result.clock_drift_from_ns), method=config.association,
         max_difference_ns=round(config.max_time_difference * 1e9),
         max_gap_ns=round(config.max_gap * 1e9),
         time_offset_ns=round(result.time_offset_s * 1e9))

@@ -20,7 +20,7 @@ START_NS = 1_700_000_000_000_000_000
 _CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
 
 # Seconds a second: no oscillator is so bad, and no daemon that steers one.
-_MOST_DRIFT = 0.01
+_MOST_DRIFT = 1e-3
 
 # Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
 _REACH = 0.5
