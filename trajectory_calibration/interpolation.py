@@ -55,6 +55,8 @@ def interpolate(
     since, gap = at_ns - stamps_ns[left], stamps_ns[left + 1] - stamps_ns[left]
     result = se3.interpolate(poses[left], poses[left + 1], since / gap)
     between = np.flatnonzero((since > 0) & (since < gap))
+    if not len(between):
+        return result
     around = left[between, None] + np.arange(-1, 3)
     known = (around >= 0) & (around < len(stamps_ns))
     around = np.clip(around, 0, len(stamps_ns) - 1)
