@@ -23,7 +23,7 @@ _WINDOWS = 5_000
 # Multiples of it, less their whole parts, fill an interval evenly and without a period.
 _GOLDEN = (np.sqrt(5.0) - 1) / 2
 
-# Cells on either side of a window over which a has to be known.
+# Cells that a window keeps from the ends of a.
 _REACH_CELLS = 3
 
 # Larger rotations (radians) are left out: half a turn one way is half a turn the other way.
@@ -101,7 +101,7 @@ class Turning:
         return se3.log_so3(np.swapaxes(start, 1, 2) @ end)
 
     def known(self, shift_ns: int, drift: float, reach_ns: int) -> NDArray[np.bool_]:
-        """Tell over which of the moved windows, ``reach_ns`` before and after, a is known."""
+        """Tell which of the moved windows begin and end in no gap of a, nor near its ends."""
         start, end = (_covered(self.a, self._moved(times, shift_ns, drift), reach_ns)
                       for times in (self.starts_ns, self.ends_ns))
         return start & end
@@ -147,10 +147,8 @@ def longest_step_ns(trajectory: Trajectory) -> float:
 
 
 def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
-    """Tell at which times a is known, ``reach`` before and after included."""
-    stamps, longest = a.stamps_ns, longest_step_ns(a)
-    covered = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
-    for at in (times - reach, times, times + reach):
-        left = np.clip(np.searchsorted(stamps, at, side='right') - 1, 0, len(stamps) - 2)
-        covered &= stamps[left + 1] - stamps[left] <= longest
-    return covered
+    """Tell which times lie in no gap of a, and no nearer to its ends than ``reach``."""
+    stamps = a.stamps_ns
+    inside = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
+    left = np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, len(stamps) - 2)
+    return inside & (stamps[left + 1] - stamps[left] <= longest_step_ns(a))
