@@ -82,7 +82,9 @@ def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]
     if len(poses) < _AROUND:
         return leaps
     seconds = np.diff(stamps_ns)[:, None] * 1e-9
-    change = np.diff(se3.log_se3(se3.inverse(poses[:-1]) @ poses[1:]) / seconds, axis=0)
+    twists = se3.log_se3(se3.inverse(poses[:-1]) @ poses[1:]) / seconds
+    # The second divided difference, which is what the cubic adds to the geodesic.
+    change = np.diff(twists, axis=0) / (seconds[:-1] + seconds[1:])
     for part in (change[:, :3], change[:, 3:]):
         size = np.linalg.norm(part, axis=1)
         padded = np.pad(size, _AROUND // 2, mode='reflect')
