@@ -57,6 +57,7 @@ def test_finds_any_drift_within_its_own_error_bar(name, seconds, drift):
     # b must run slower again: its rate, seen from a, is one over that of its clock.
     assert abs(found.drift + drift / (1 + drift)) < 4 * found.drift_std
     assert found.drift_std < 3 * PPM
+    assert found.uneven_s == 0.0
     middle = -1.5 - drift * seconds / 2
     assert found.offset_s == pytest.approx(middle, abs=2e-3)
 
@@ -81,6 +82,16 @@ def test_clocks_that_agree_never_drift(name):
         for seconds in (10.0, 60.0):
             run = simulate(drive(name, seconds, offset=0.4), 300 + seed)
             assert clock_of(run).drift == 0.0
+
+
+@pytest.mark.parametrize('seconds', [0.01, 0.2])
+def test_a_clock_that_was_set_is_uneven(seconds):
+    run = simulate(drive('handheld', 600.0), 6)
+    late = run.b.stamps_ns > run.b.stamps_ns[0] + 3 * 10**11
+    b = replace(run.b, stamps_ns=run.b.stamps_ns + np.where(late, round(seconds * 1e9), 0))
+    assert seconds / 8 < synchronise(run.a, b, 0.0, 'auto', 5.0).uneven_s < seconds
+    found = calibrate(run.a, b, CalibrationConfig(solver='park', reference='B5'))
+    assert any('was a clock set on the way?' in text for text in found.warnings)
 
 
 @pytest.mark.parametrize('rates', [(10.0, 10.0), (10.0, 10.002), (20.001, 10.0), (10.0, 100.0)])

@@ -27,7 +27,10 @@ _HALF_CELLS = 0.3
 # Turns farther off than this many times the median count less and less: jumps of a SLAM.
 _TAIL = 3.0
 
-# Five unknowns want more equations than these windows have.
+# What is told from zero exceeds this many standard deviations.
+SIGNIFICANT = 5.0
+
+# Seven unknowns want more equations than these windows have.
 _LEAST_WINDOWS = 10
 
 # The regression is repeated, from where it led, until it moves by this share of its deviation.
@@ -46,6 +49,8 @@ class ClockDrift:
     ----------
     rate : seconds per second.
     std : its standard deviation.
+    uneven_s : by how much a quarter of the time is off this straight line, seconds; zero where no
+        quarter is with significance.
     from_ns : stamp of b, before any offset, in the middle of the time that both have in common.
     duration_s : that time.
 
@@ -53,6 +58,7 @@ class ClockDrift:
 
     rate: float
     std: float
+    uneven_s: float
     from_ns: int
     duration_s: float
 
@@ -63,35 +69,50 @@ def find_clock_drift(
     """Return the drift of the clock of b, given the best constant offset of its stamps.
 
     None where the turning is too little or too even to tell, or no clock drifts so much. Of a
-    clock that was set on the way it is the straight line through what it did.
+    clock that was set on the way it is the straight line through what it did, and uneven.
     """
     turning = Turning.over_windows(a, turns(a), b, offset_ns, cell_ns)
     if turning is None:
         return None
     step_a_ns = float(np.median(np.diff(a.stamps_ns)))
     half_ns = round(step_a_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / step_a_ns)))
+    # From -1 to 1, so that both columns of the line have one size.
+    half_s = 0.5 * turning.duration_s
+    place = (0.5 * (turning.starts_ns + turning.ends_ns - 2 * turning.middle_ns)) * 1e-9 / half_s
+    line = np.column_stack([np.ones(len(turning)), place])
+    quarters = np.floor(2 * np.clip(place, -0.999, 0.999))[:, None] == np.arange(-2, 2)
     shift, rate = 0.0, 0.0
     for _ in range(_MAX_ROUNDS):
-        found = _regress(turning, shift, rate, half_ns)
+        found = _regress(turning, shift, rate, half_ns, line)
         if found is None:
             return None
-        (shift_step, rate_step), std = found
-        shift, rate = shift + shift_step, rate + rate_step
+        (shift_step, by_half), (_, std) = found
+        shift, rate = shift + shift_step, rate + by_half / half_s
         if abs(rate) > _LARGEST:
             return None
-        if abs(rate_step) <= _SETTLED * std:
-            floor = STEP_SHARE * step_a_ns * 1e-9 / (0.5 * turning.duration_s)
-            return ClockDrift(float(rate), float(np.hypot(std, floor)),
-                              turning.middle_ns - offset_ns, turning.duration_s)
+        if abs(by_half) <= _SETTLED * std:
+            floor = STEP_SHARE * step_a_ns * 1e-9
+            apart = _regress(turning, shift, rate, half_ns, quarters.astype(np.float64))
+            return ClockDrift(
+                float(rate), float(np.hypot(std, floor)) / half_s,
+                0.0 if apart is None else _largest_significant(*apart, floor),
+                turning.middle_ns - offset_ns, turning.duration_s)
     return None
 
 
-def _regress(
-    turning: Turning, shift: float, rate: float, half_ns: int,
-) -> tuple[FloatArray, float] | None:
-    """Return the (2,) change of shift (s) and rate (s/s), and the deviation of the rate.
+def _largest_significant(values: FloatArray, stds: FloatArray, floor: float) -> float:
+    """Return the largest size of those (n,) values that are out of their error, or zero."""
+    found = np.abs(values[np.abs(values) > SIGNIFICANT * np.hypot(stds, floor)])
+    return float(found.max(initial=0.0))
 
-    The rotation between the sensors takes part with three columns of its own.
+
+def _regress(
+    turning: Turning, shift: float, rate: float, half_ns: int, basis: FloatArray,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return (n,) further shifts (s) and their deviations, from windows moved already.
+
+    They go with the (K, n) columns of the ``basis``; the rotation between the sensors takes part
+    with three of its own.
     """
     shift_ns = round(shift * 1e9)
     of_a = turning.of_a(shift_ns, rate)
@@ -105,12 +126,7 @@ def _regress(
         return None
     R = se3.nearest_rotation(of_a[known].T @ turning.of_b[known])
     residual = turning.of_b @ R.T - of_a
-    since_middle = 0.5e-9 * (
-        (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns))
-    # In units of half the time, so that both columns have one size.
-    unit = max(float(np.abs(since_middle).max()), np.finfo(float).tiny)
-    by_rate = slope * (since_middle / unit)[:, None]
-    J = np.concatenate([np.stack([slope, by_rate], axis=2), -se3.skew(of_a)], axis=2)
+    J = np.concatenate([slope[:, :, None] * basis[:, None, :], -se3.skew(of_a)], axis=2)
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.median(size[known])), np.finfo(float).tiny)
     weights = known / (1 + (size / (_TAIL * usual))**2)
@@ -121,4 +137,5 @@ def _regress(
     rest = residual - J @ step
     variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * turning.overlapping)
     covariance = variance * inverse @ np.einsum('kij,kil->jl', weighted, weighted) @ inverse
-    return step[:2] / [1.0, unit], float(np.sqrt(covariance[1, 1]) / unit)
+    n = basis.shape[1]
+    return step[:n], np.sqrt(np.maximum(np.diag(covariance)[:n], 0.0))

@@ -140,6 +140,11 @@ def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:
             f'the clock of {b.sensor_frame} runs {"slow" if clock.drift > 0 else "fast"} by '
             f'{abs(1e6 * clock.drift):.1f} ppm (+- {1e6 * clock.drift_std:.1f} ppm): '
             f'{apart_ms:.1f} ms from its first pose to its last, taken out of its stamps')
+    if clock.uneven_s:
+        warnings.append(
+            f'the clock of {b.sensor_frame} does not run evenly: it is off that by up to '
+            f'{1e3 * clock.uneven_s:.1f} ms; was a clock set on the way? Then calibrate each part '
+            'alone')
     return warnings
 
 

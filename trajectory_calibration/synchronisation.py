@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.clock_drift import find_clock_drift
+from trajectory_calibration.clock_drift import find_clock_drift, SIGNIFICANT
 from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
@@ -41,8 +41,7 @@ _POINTS = 7
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
 
-# An offset is told from zero where it exceeds this many standard deviations, and this time.
-_SIGNIFICANT = 5.0
+# Seconds that clocks may be apart as if they were not.
 _NEGLIGIBLE_S = 1e-3
 
 # Correlation below which the two did not turn together.
@@ -82,6 +81,7 @@ class Clock:
     drift : seconds a second by which the clock of b must run faster (``Trajectory.retimed``).
     drift_from_ns : stamp of b at which that adds nothing.
     drift_std : standard deviation of the drift.
+    uneven_s : by how much the clock of b is off these at some time, seconds.
 
     """
 
@@ -89,6 +89,7 @@ class Clock:
     drift: float = 0.0
     drift_from_ns: int = 0
     drift_std: float = 0.0
+    uneven_s: float = 0.0
 
 
 def synchronise(
@@ -125,7 +126,8 @@ def synchronise(
         # An offset of the drifting clock is none of the other one.
         if retimed is not None:
             return Clock(time_offset_s + retimed.seconds, drift.rate,
-                         drift.from_ns - shift_ns, drift.std)
+                         drift.from_ns - shift_ns, drift.std,
+                         drift.uneven_s if drift.uneven_s > _NEGLIGIBLE_S else 0.0)
     if mode == 'estimate' or found.significant:
         return Clock(time_offset_s + found.seconds)
     return Clock(time_offset_s)
@@ -133,7 +135,7 @@ def synchronise(
 
 def _is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
     """Tell whether a value is out of its error, and adds up to something in so many seconds."""
-    return abs(value) > max(_SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
+    return abs(value) > max(SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
 
 
 def find_clock_offset(
