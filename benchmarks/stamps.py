@@ -16,14 +16,15 @@ from trajectory_calibration import (
     association,
     calibrate,
     CalibrationConfig,
-    pipeline,
+    matching,
     se3,
     Trajectory,
 )
+from trajectory_calibration.interpolation import left_of
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_noise
 from trajectory_calibration.synchronisation import Clock
 
-CUBIC, SYNCHRONISE = association.interpolate, pipeline.synchronise
+CUBIC, SYNCHRONISE = association.interpolate, matching.synchronise
 NOISES = {
     '0.1 mm, 0.1 mrad': Noise(white=1e-4, white_rotation=1e-4),
     '5 mm, 1 mrad': Noise(white=0.005, white_rotation=0.001),
@@ -33,7 +34,7 @@ NOISES = {
 
 
 def geodesic(stamps_ns, poses, at_ns, **_):
-    left = np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+    left = left_of(stamps_ns, at_ns)
     fraction = (at_ns - stamps_ns[left]) / (stamps_ns[left + 1] - stamps_ns[left])
     return se3.interpolate(poses[left], poses[left + 1], fraction)
 
@@ -85,7 +86,7 @@ def drifting_clocks(seeds):
             scenario = replace(scenario, b=replace(scenario.b, clock_drift=drift))
             runs = [(run.a, run.b, run.T_a_b) for run in (simulate(scenario, k) for k in seeds)]
             cells = []
-            for pipeline.synchronise in (constant_clock, SYNCHRONISE):
+            for matching.synchronise in (constant_clock, SYNCHRONISE):
                 e_at, e_aR, _, square = judge(runs)
                 cells.append(f'{e_at:.5f} | {e_aR:.4f} | {square:.2f}')
             print(f'| {motion} | 30 | {1e6 * drift:g} | {" | ".join(cells)} |', flush=True)

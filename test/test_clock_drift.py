@@ -84,6 +84,14 @@ def test_clocks_that_agree_never_drift(name):
             assert clock_of(run).drift == 0.0
 
 
+def test_the_last_century_of_stamps_is_as_good_as_any():
+    """Twice such a stamp is more than 64 bits hold."""
+    run = simulate(drive('drone', 300.0, drift=100 * PPM), 3)
+    far = [replace(one, stamps_ns=one.stamps_ns + 7 * 10**18) for one in (run.a, run.b)]
+    near, found = clock_of(run), synchronise(*far, 0.0, 'auto', 5.0)
+    assert found == replace(near, drift_from_ns=near.drift_from_ns + 7 * 10**18)
+
+
 @pytest.mark.parametrize('seconds', [0.01, 0.2])
 def test_a_clock_that_was_set_is_uneven(seconds):
     run = simulate(drive('handheld', 600.0), 6)

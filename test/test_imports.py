@@ -23,7 +23,7 @@ FLOW = (
     ('motions', 'priors'),
     ('solvers.__init__',),
     ('config',),
-    ('solvers',),
+    ('solvers', 'matching'),
     ('metrics', 'excitation', 'pair_noise'),
     ('agreement', 'observability', 'uncertainty'),
     ('reference',),

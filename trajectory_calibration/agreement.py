@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 
 from trajectory_calibration import se3
-from trajectory_calibration.association import associate, PosePairs
+from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import AssociationError, MotionError
 from trajectory_calibration.excitation import thinned
+from trajectory_calibration.matching import match
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.synchronisation import synchronise
 from trajectory_calibration.trajectory import Trajectory
 
 # Lags that are looked at: short ones have fewer jumps in them, long ones turn farther.
@@ -82,13 +82,8 @@ def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
     """
     b = replace(b, poses=se3.inverse(b.poses))
     with suppress(AssociationError):
-        clock = synchronise(a, b, config.time_offset, config.mode('time_offset'),
-                            config.max_time_offset)
-        turns = list(_turns(associate(
-            a, b.retimed(clock.drift, clock.drift_from_ns), method=config.association,
-            max_difference_ns=round(config.max_time_difference * 1e9),
-            max_gap_ns=round(config.max_gap * 1e9),
-            time_offset_ns=round(clock.offset_s * 1e9))))
+        _, pairs = match(a, b, config)
+        turns = list(_turns(pairs))
         return _least_disagreement(turns) if turns else np.inf
     return np.inf
 

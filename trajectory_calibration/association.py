@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.errors import AssociationError, ConfigError
-from trajectory_calibration.interpolation import interpolate
+from trajectory_calibration.interpolation import interpolate, left_of
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 
@@ -220,8 +220,8 @@ def associate_by_interpolation(
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
-    right = np.clip(np.searchsorted(a.stamps_ns, stamps_b), 1, len(a) - 1)
-    left = right - 1
+    left = left_of(a.stamps_ns, stamps_b)
+    right = left + 1
     gap = a.stamps_ns[right] - a.stamps_ns[left]
     outside = _outside(a, stamps_b)
     since_left = stamps_b - a.stamps_ns[left]
@@ -250,7 +250,7 @@ def associate_by_interpolation(
 
 def _nearest(sorted_stamps: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.intp]:
     """Return for each query the index of the nearest of at least two sorted stamps."""
-    right = np.clip(np.searchsorted(sorted_stamps, queries), 1, len(sorted_stamps) - 1)
+    right = left_of(sorted_stamps, queries) + 1
     left_is_nearer = queries - sorted_stamps[right - 1] <= sorted_stamps[right] - queries
     return right - left_is_nearer
 

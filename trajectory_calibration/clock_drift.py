@@ -16,7 +16,7 @@ import numpy as np
 from trajectory_calibration import se3
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
-from trajectory_calibration.turning import ROUNDING, STEP_SHARE, Turning, turns
+from trajectory_calibration.turning import is_significant, ROUNDING, STEP_SHARE, Turning
 
 # Half-width of the difference quotient by time, in cells, and then the next whole number of steps
 # of a. Over a part of a step the quotient has noise in common with the turn itself, which draws
@@ -26,9 +26,6 @@ _HALF_CELLS = 0.3
 
 # Turns farther off than this many times the median count less and less: jumps of a SLAM.
 _TAIL = 3.0
-
-# What is told from zero exceeds this many standard deviations.
-SIGNIFICANT = 5.0
 
 # Seven unknowns want more equations than these windows have.
 _LEAST_WINDOWS = 10
@@ -49,10 +46,9 @@ class ClockDrift:
     ----------
     rate : seconds per second.
     std : its standard deviation.
-    uneven_s : by how much a quarter of the time is off this straight line, seconds; zero where no
-        quarter is with significance.
+    uneven_s : by how much a quarter of the time is off this straight line, seconds; zero where
+        that is not significant.
     from_ns : stamp of b, before any offset, in the middle of the time that both have in common.
-    duration_s : that time.
 
     """
 
@@ -60,7 +56,6 @@ class ClockDrift:
     std: float
     uneven_s: float
     from_ns: int
-    duration_s: float
 
 
 def find_clock_drift(
@@ -68,19 +63,20 @@ def find_clock_drift(
 ) -> ClockDrift | None:
     """Return the drift of the clock of b, given the best constant offset of its stamps.
 
-    None where the turning is too little or too even to tell, or no clock drifts so much. Of a
-    clock that was set on the way it is the straight line through what it did, and uneven.
+    None where it is not significant, the turning is too little or too even to tell, or no clock
+    drifts so much. Of a clock that was set on the way it is the straight line through what it did,
+    and uneven.
     """
-    turning = Turning.over_windows(a, turns(a), b, offset_ns, cell_ns)
+    turning = Turning.over_windows(a, b, offset_ns, cell_ns)
     if turning is None:
         return None
-    step_a_ns = float(np.median(np.diff(a.stamps_ns)))
-    half_ns = round(step_a_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / step_a_ns)))
+    half_ns = round(
+        a.usual_step_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / a.usual_step_ns)))
     # From -1 to 1, so that both columns of the line have one size.
     half_s = 0.5 * turning.duration_s
-    place = (0.5 * (turning.starts_ns + turning.ends_ns - 2 * turning.middle_ns)) * 1e-9 / half_s
+    since_middle = (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns)
+    place = 0.5e-9 * since_middle / half_s
     line = np.column_stack([np.ones(len(turning)), place])
-    quarters = np.floor(2 * np.clip(place, -0.999, 0.999))[:, None] == np.arange(-2, 2)
     shift, rate = 0.0, 0.0
     for _ in range(_MAX_ROUNDS):
         found = _regress(turning, shift, rate, half_ns, line)
@@ -91,19 +87,19 @@ def find_clock_drift(
         if abs(rate) > _LARGEST:
             return None
         if abs(by_half) <= _SETTLED * std:
-            floor = STEP_SHARE * step_a_ns * 1e-9
-            apart = _regress(turning, shift, rate, half_ns, quarters.astype(np.float64))
-            return ClockDrift(
-                float(rate), float(np.hypot(std, floor)) / half_s,
-                0.0 if apart is None else _largest_significant(*apart, floor),
-                turning.middle_ns - offset_ns, turning.duration_s)
-    return None
-
-
-def _largest_significant(values: FloatArray, stds: FloatArray, floor: float) -> float:
-    """Return the largest size of those (n,) values that are out of their error, or zero."""
-    found = np.abs(values[np.abs(values) > SIGNIFICANT * np.hypot(stds, floor)])
-    return float(found.max(initial=0.0))
+            break
+    else:
+        return None
+    floor = STEP_SHARE * a.usual_step_ns * 1e-9
+    std_rate = float(np.hypot(std, floor)) / half_s
+    if not is_significant(rate, std_rate, half_s):
+        return None
+    quarters = np.floor(2 * np.clip(place, -0.999, 0.999))[:, None] == np.arange(-2, 2)
+    apart = _regress(turning, shift, rate, half_ns, quarters.astype(np.float64))
+    uneven_s = 0.0 if apart is None else max(
+        (abs(float(value)) for value, its_std in zip(*apart, strict=True)
+         if is_significant(value, np.hypot(its_std, floor))), default=0.0)
+    return ClockDrift(float(rate), std_rate, uneven_s, turning.middle_ns - offset_ns)
 
 
 def _regress(

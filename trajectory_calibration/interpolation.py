@@ -19,6 +19,14 @@ _FARTHEST_TURN = np.pi / 2
 _LEAP, _AROUND = 8.0, 11
 
 
+def left_of(stamps_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return with which of at least two sorted stamps the step begins that holds each time.
+
+    Outside of all of them it is the first or the last step.
+    """
+    return np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+
+
 def interpolate(
     stamps_ns: NDArray[np.int64],
     poses: FloatArray,
@@ -51,7 +59,7 @@ def interpolate(
         A pose beyond a longer gap is no neighbour; None: it always is.
 
     """
-    left = np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+    left = left_of(stamps_ns, at_ns)
     since, gap = at_ns - stamps_ns[left], stamps_ns[left + 1] - stamps_ns[left]
     result = se3.interpolate(poses[left], poses[left + 1], since / gap)
     between = np.flatnonzero((since > 0) & (since < gap))

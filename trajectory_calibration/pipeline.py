@@ -7,9 +7,10 @@ from contextlib import suppress
 import numpy as np
 
 from trajectory_calibration.agreement import parted_steps, require_agreement
-from trajectory_calibration.association import associate, AssociationSummary
+from trajectory_calibration.association import AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import SolverError, TrajectoryError
+from trajectory_calibration.matching import match
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
 from trajectory_calibration.observability import observe, require_observed
@@ -17,7 +18,7 @@ from trajectory_calibration.priors import apply_prior, contradictions
 from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.synchronisation import Clock, synchronise
+from trajectory_calibration.synchronisation import Clock
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.uncertainty import estimate_uncertainty
 
@@ -62,18 +63,7 @@ def calibrate(
     config = config or CalibrationConfig()
     solve = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)
-    clock = synchronise(
-        trajectory_a, trajectory_b, config.time_offset, config.mode('time_offset'),
-        config.max_time_offset)
-    trajectory_b = trajectory_b.retimed(clock.drift, clock.drift_from_ns)
-    pairs = associate(
-        trajectory_a,
-        trajectory_b,
-        method=config.association,
-        max_difference_ns=round(config.max_time_difference * 1e9),
-        max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(clock.offset_s * 1e9),
-    )
+    clock, pairs = match(trajectory_a, trajectory_b, config)
     choice = choose_reference(pairs, config)
     motions = select_motions(pairs, choice.reference)
     agreed = pairs, trajectory_a, trajectory_b, config

@@ -18,11 +18,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.clock_drift import find_clock_drift, SIGNIFICANT
+from trajectory_calibration.clock_drift import find_clock_drift
 from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
-from trajectory_calibration.turning import longest_step_ns, ROUNDING, STEP_SHARE, Turning, turns
+from trajectory_calibration.turning import (
+    is_significant,
+    longest_step_ns,
+    ROUNDING,
+    STEP_SHARE,
+    Turning,
+)
 
 # Cells of the grid on which rotations are correlated, at the most.
 _MAX_CELLS = 2**18
@@ -40,9 +46,6 @@ _LEAST_OVERLAP = 0.3
 _POINTS = 7
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
-
-# Seconds that clocks may be apart as if they were not.
-_NEGLIGIBLE_S = 1e-3
 
 # Correlation below which the two did not turn together.
 _LEAST_CORRELATION = 0.3
@@ -67,8 +70,7 @@ class ClockOffset:
     @property
     def significant(self) -> bool:
         """Tell whether the sensors turned together, and zero is out of the question."""
-        return (self.correlation >= _LEAST_CORRELATION
-                and _is_significant(self.seconds, self.std))
+        return self.correlation >= _LEAST_CORRELATION and is_significant(self.seconds, self.std)
 
 
 @dataclass(frozen=True)
@@ -120,22 +122,16 @@ def synchronise(
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
             'raise max_time_offset')
     drift = find_clock_drift(a, shifted, round(found.seconds * 1e9), _cell_ns(a, shifted))
-    if drift is not None and _is_significant(drift.rate, drift.std, 0.5 * drift.duration_s):
+    if drift is not None:
         retimed = find_clock_offset(
             a, shifted.retimed(drift.rate, drift.from_ns), max_offset_s)
         # An offset of the drifting clock is none of the other one.
         if retimed is not None:
             return Clock(time_offset_s + retimed.seconds, drift.rate,
-                         drift.from_ns - shift_ns, drift.std,
-                         drift.uneven_s if drift.uneven_s > _NEGLIGIBLE_S else 0.0)
+                         drift.from_ns - shift_ns, drift.std, drift.uneven_s)
     if mode == 'estimate' or found.significant:
         return Clock(time_offset_s + found.seconds)
     return Clock(time_offset_s)
-
-
-def _is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
-    """Tell whether a value is out of its error, and adds up to something in so many seconds."""
-    return abs(value) > max(SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
 
 
 def find_clock_offset(
@@ -149,9 +145,8 @@ def find_clock_offset(
     """
     cell_ns = _cell_ns(a, b)
     start_ns = min(int(a.stamps_ns[0]), int(b.stamps_ns[0]))
-    turns_a = turns(a)
-    turned_a, known_a = _turned_in_cells(a, turns_a, start_ns, cell_ns)
-    turned_b, known_b = _turned_in_cells(b, turns(b), start_ns, cell_ns)
+    turned_a, known_a = _turned_in_cells(a, start_ns, cell_ns)
+    turned_b, known_b = _turned_in_cells(b, start_ns, cell_ns)
     lags, correlation = _correlate(turned_a, known_a, turned_b, known_b)
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
@@ -159,9 +154,8 @@ def find_clock_offset(
         return None
     best = int(np.argmax(np.where(allowed, correlation, -1.0)))
     start_ns = int(lags[best]) * cell_ns
-    turning = Turning.over_windows(a, turns_a, b, start_ns, cell_ns)
-    refined = None if turning is None else _refine(
-        turning, float(np.median(np.diff(a.stamps_ns))) * 1e-9, cell_ns * 1e-9)
+    turning = Turning.over_windows(a, b, start_ns, cell_ns)
+    refined = None if turning is None else _refine(turning, cell_ns * 1e-9)
     if refined is None:
         return None
     shift, std = refined
@@ -173,22 +167,22 @@ def find_clock_offset(
 
 
 def _cell_ns(a: Trajectory, b: Trajectory) -> int:
-    usual = max(float(np.median(np.diff(t.stamps_ns))) for t in (a, b))
+    usual = max(a.usual_step_ns, b.usual_step_ns)
     span = max(int(a.stamps_ns[-1]), int(b.stamps_ns[-1])) - min(
         int(a.stamps_ns[0]), int(b.stamps_ns[0]))
     return int(max(usual / 2, _LEAST_CELL_NS, span / _MAX_CELLS))
 
 
 def _turned_in_cells(
-    trajectory: Trajectory, turns: FloatArray, start_ns: int, cell_ns: int,
+    trajectory: Trajectory, start_ns: int, cell_ns: int,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return (K, 3) rotation in each cell, about the axes of the sensor, and which are known."""
     stamps_ns = trajectory.stamps_ns - start_ns
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(turns, axis=0)])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(trajectory.turns, axis=0)])
     edges = np.arange(0, int(stamps_ns[-1]) + cell_ns, cell_ns)
     at_edges = np.column_stack([np.interp(edges, stamps_ns, axis) for axis in total.T])
     inside = (edges[:-1] >= stamps_ns[0]) & (edges[1:] <= stamps_ns[-1])
-    left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(turns) - 1)
+    left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(stamps_ns) - 2)
     gap = np.diff(stamps_ns) > longest_step_ns(trajectory)
     known = inside & ~gap[left[:-1]] & ~gap[left[1:]]
     return np.diff(at_edges, axis=0) * known[:, None], known
@@ -224,9 +218,10 @@ def _correlate(
     return np.where(index < size // 2, index, index - size), correlation
 
 
-def _refine(turning: Turning, step_a_s: float, cell_s: float) -> tuple[float, float] | None:
+def _refine(turning: Turning, cell_s: float) -> tuple[float, float] | None:
     """Return the shift (seconds) of least disagreement near zero, and its standard deviation."""
     turned = float(np.sum(turning.of_b**2))
+    step_a_s = turning.a.usual_step_ns * 1e-9
 
     def disagreement(shift_s: float) -> float:
         turned_a = turning.of_a(round(shift_s * 1e9))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -131,6 +132,17 @@ class Trajectory:
         stamps_ns = self.stamps_ns + apart
         return Trajectory(
             stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.warnings)
+
+    @cached_property
+    def usual_step_ns(self) -> float:
+        """Median of the times from each pose to the next, nanoseconds."""
+        return float(np.median(np.diff(self.stamps_ns)))
+
+    @cached_property
+    def turns(self) -> FloatArray:
+        """(N - 1, 3) rotation vectors from each pose to the next, in the axes of the sensor."""
+        R = self.rotations
+        return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
 
     @property
     def positions(self) -> FloatArray:

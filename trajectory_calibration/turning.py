@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
+from trajectory_calibration.interpolation import left_of
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
 
@@ -35,6 +36,11 @@ ROUNDING = 1e-12
 # Motion between the poses of a is not known; this share of their usual step is uncertain.
 STEP_SHARE = 0.005
 
+# What is told from zero exceeds so many standard deviations; clocks that are apart by so many
+# seconds are so as if they were not.
+_SIGNIFICANT = 5.0
+_NEGLIGIBLE_S = 1e-3
+
 
 @dataclass(frozen=True, eq=False)
 class Turning:
@@ -43,7 +49,6 @@ class Turning:
     Attributes
     ----------
     a : the trajectory of a.
-    turns_a : (N - 1, 3), its rotation vectors from each pose to the next.
     starts_ns, ends_ns : (K,) int64, the windows in the clock of a.
     middle_ns : of the time that both have in common, in the clock of a.
     duration_s : of that time.
@@ -53,7 +58,6 @@ class Turning:
     """
 
     a: Trajectory
-    turns_a: FloatArray
     starts_ns: NDArray[np.int64]
     ends_ns: NDArray[np.int64]
     middle_ns: int
@@ -63,14 +67,13 @@ class Turning:
 
     @classmethod
     def over_windows(
-        cls, a: Trajectory, turns_a: FloatArray, b: Trajectory, offset_ns: int, cell_ns: int,
+        cls, a: Trajectory, b: Trajectory, offset_ns: int, cell_ns: int,
     ) -> Turning | None:
         """Return the turning of b in the clock of a; None where too little of it is known.
 
         ``offset_ns`` is added to the stamps of b; cells of ``cell_ns`` resolve the motion.
         """
-        usual = float(np.median(np.diff(b.stamps_ns)))
-        step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS) / usual))
+        step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS) / b.usual_step_ns))
         if len(b) <= step:
             return None
         i, stride = _spread(len(b) - step)
@@ -78,14 +81,14 @@ class Turning:
         times = b.stamps_ns + offset_ns
         reach = _REACH_CELLS * cell_ns
         usable = (_covered(a, times[i], reach) & _covered(a, times[j], reach)
-                  & (times[j] - times[i] <= 2 * step * usual))
+                  & (times[j] - times[i] <= 2 * step * b.usual_step_ns))
         of_b = se3.log_so3(np.swapaxes(b.rotations[i], 1, 2) @ b.rotations[j])
         usable &= np.linalg.norm(of_b, axis=1) < _MAX_ANGLE
         if usable.sum() < 3 * step:
             return None
         first, last = max(a.stamps_ns[0], times[0]), min(a.stamps_ns[-1], times[-1])
         return cls(
-            a, turns_a, times[i[usable]], times[j[usable]], int(first + (last - first) // 2),
+            a, times[i[usable]], times[j[usable]], int(first + (last - first) // 2),
             float(last - first) * 1e-9, of_b[usable], -(-step // stride))
 
     def __len__(self) -> int:
@@ -116,10 +119,9 @@ class Turning:
 
     def _rotation_at(self, times: NDArray[np.int64]) -> FloatArray:
         stamps = self.a.stamps_ns
-        right = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
-        left = right - 1
-        fraction = (times - stamps[left]) / (stamps[right] - stamps[left])
-        return self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.turns_a[left])
+        left = left_of(stamps, times)
+        fraction = (times - stamps[left]) / (stamps[left + 1] - stamps[left])
+        return self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.a.turns[left])
 
 
 def _spread(count: int) -> tuple[NDArray[np.intp], int]:
@@ -135,15 +137,14 @@ def _spread(count: int) -> tuple[NDArray[np.intp], int]:
     return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp), stride
 
 
-def turns(trajectory: Trajectory) -> FloatArray:
-    """Return (N - 1, 3) rotation vectors from each pose to the next."""
-    R = trajectory.rotations
-    return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+def is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
+    """Tell whether a value is out of its error, and adds up to something in so many seconds."""
+    return abs(value) > max(_SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
 
 
 def longest_step_ns(trajectory: Trajectory) -> float:
     """Return what a step is at most; a longer one is a gap."""
-    return max(_GAP_FACTOR * float(np.median(np.diff(trajectory.stamps_ns))), _GAP_NS)
+    return max(_GAP_FACTOR * trajectory.usual_step_ns, _GAP_NS)
 
 
 def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:

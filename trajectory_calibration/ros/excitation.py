@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
+from trajectory_calibration.interpolation import left_of
 from trajectory_calibration.ros.buffer import PoseBuffer
 from trajectory_calibration.se3 import FloatArray
 
@@ -286,7 +287,7 @@ def _poses_at(
     stamps, rows = buffer.after(int(stamps_ns[0]) - max_gap_ns - _STEP_NS)
     if len(stamps) < 2:
         return np.zeros(len(stamps_ns), bool), np.empty((0, 4, 4))
-    right = np.clip(np.searchsorted(stamps, stamps_ns), 1, len(stamps) - 1)
+    right = left_of(stamps, stamps_ns) + 1
     gap = stamps[right] - stamps[right - 1]
     since = stamps_ns - stamps[right - 1]
     coincides = np.minimum(np.abs(since), np.abs(gap - since)) <= COINCIDENCE_NS

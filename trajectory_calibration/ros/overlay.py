@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration import se3
-from trajectory_calibration.association import associate
+from trajectory_calibration.matching import match_at
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.synchronisation import Clock
 from trajectory_calibration.trajectory import Trajectory
 
 # More poses than a person can tell apart only slow the display down.
@@ -46,12 +47,8 @@ def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Ove
         As ``associate``; not for trajectories that have just been calibrated.
 
     """
-    config = result.config
-    pairs = associate(
-        a, b.retimed(result.clock_drift, result.clock_drift_from_ns), method=config.association,
-        max_difference_ns=round(config.max_time_difference * 1e9),
-        max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(result.time_offset_s * 1e9))
+    clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
+    pairs = match_at(a, b, clock, result.config)
     chosen = slice(None, None, -(-len(pairs) // _MOST_POSES))
     poses_a, poses_b = pairs.poses_a[chosen], pairs.poses_b[chosen].copy()
     poses_b[:, :3, 3] *= result.scale

@@ -1,0 +1,36 @@
+"""From two trajectories to pairs of poses, as the settings have it: clocks first, then poses."""
+
+from __future__ import annotations
+
+from trajectory_calibration.association import associate, PosePairs
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.synchronisation import Clock, synchronise
+from trajectory_calibration.trajectory import Trajectory
+
+
+def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
+    """Return what the clock of b needed, and the pairs.
+
+    Raises
+    ------
+    AssociationError
+        As ``synchronise`` and ``associate``.
+
+    """
+    clock = synchronise(
+        a, b, config.time_offset, config.mode('time_offset'), config.max_time_offset)
+    return clock, match_at(a, b, clock, config)
+
+
+def match_at(
+    a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+) -> PosePairs:
+    """Return the pairs for a known clock of b; raises as ``associate``."""
+    return associate(
+        a,
+        b.retimed(clock.drift, clock.drift_from_ns),
+        method=config.association,
+        max_difference_ns=round(config.max_time_difference * 1e9),
+        max_gap_ns=round(config.max_gap * 1e9),
+        time_offset_ns=round(clock.offset_s * 1e9),
+    )
