@@ -13,8 +13,12 @@ from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_n
 from trajectory_calibration.solvers import quadratic
 from trajectory_calibration.solvers.drift import averaging, consistency, covariance
 from trajectory_calibration.solvers.drift.covariance import in_parent_axes
-from trajectory_calibration.solvers.drift.fit import columns_of
-from trajectory_calibration.solvers.drift.model import Chain, corrected_steps, State
+from trajectory_calibration.solvers.drift.model import (
+    Chain,
+    columns_of,
+    corrected_steps,
+    State,
+)
 from trajectory_calibration.solvers.drift.selection import estimate, PRIOR_SCALE, RIVALS
 from trajectory_calibration.solvers.drift_aware import solve_pairs
 
@@ -32,7 +36,7 @@ def test_the_answer_of_a_lag_is_that_of_dnl(monkeypatch):
     fit = estimate(pairs, FIXED)
     for lag in (2, 10):
         monkeypatch.setattr(consistency, 'LAGS', (lag,))
-        check = consistency.check_lags(fit)
+        check = consistency.check_lags(fit.chain, fit.state, fit.noise)
         dnl = quadratic.minimise(quadratic.gram(select_motions(pairs, f'B{lag}'))).T_a_b
         R = fit.state.T_a_b[:3, :3]
         found = np.concatenate([R.T @ (dnl[:3, 3] - fit.state.T_a_b[:3, 3]),
@@ -48,7 +52,7 @@ def test_lags_agree_where_the_noise_is_the_model_s():
     statistics = []
     for seed in range(12):
         pairs, _ = simulated(300 + seed, white=(0.01, 0.005), walk=(0.01, 0.002))
-        statistics.append(consistency.check_lags(estimate(pairs, FIXED)).statistic)
+        statistics.append(estimate(pairs, FIXED).lags.statistic)
     assert max(statistics) < consistency.SIGNIFICANT
     # The largest of six, each conservative: near its expectation, not near zero.
     assert 2 < np.mean(statistics) < 12
@@ -61,7 +65,7 @@ def test_lags_that_disagree_are_a_warning_and_widen():
         poses_b = coloured(np.random.default_rng(seed), pairs.poses_b, 0.03)
         pairs = PosePairs(pairs.stamps_ns, pairs.poses_a, poses_b, pairs.summary)
         solution, fit = solve_pairs(pairs, FIXED), estimate(pairs, FIXED)
-        check = consistency.check_lags(fit)
+        check = fit.lags
         told = [text for text in solution.warnings if 'short and long motions disagree' in text]
         assert len(told) == (check.statistic >= consistency.SIGNIFICANT)
         warned += len(told)
@@ -99,9 +103,9 @@ def test_evidence_counts_by_degrees():
 def test_long_drives_are_judged_by_stretches(monkeypatch):
     pairs, _ = simulated(31, poses=600, white=(0.01, 0.005), walk=(0.01, 0.002))
     fit = estimate(pairs, FIXED)
-    whole = consistency.check_lags(fit)
+    whole = fit.lags
     monkeypatch.setattr(consistency, '_STRETCH', 60)
-    parts = consistency.check_lags(fit)
+    parts = consistency.check_lags(fit.chain, fit.state, fit.noise)
     assert np.all(np.diag(parts.covariance) > 0)
     assert parts.statistic < consistency.SIGNIFICANT > whole.statistic
 

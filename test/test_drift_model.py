@@ -10,7 +10,7 @@ from trajectory_calibration import se3, Trajectory
 from trajectory_calibration.association import associate_nearest
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.solvers.drift.block_chain import BlockChain
-from trajectory_calibration.solvers.drift.fit import columns_of, first_noise, fit
+from trajectory_calibration.solvers.drift.fit import first_noise, fit
 from trajectory_calibration.solvers.drift.likelihood import (
     evaluate,
     global_likelihood,
@@ -18,6 +18,7 @@ from trajectory_calibration.solvers.drift.likelihood import (
 )
 from trajectory_calibration.solvers.drift.model import (
     Chain,
+    columns_of,
     corrected_steps,
     linearise,
     PARAMETERS,

@@ -19,7 +19,6 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.consistency import check_lags
 from trajectory_calibration.solvers.drift.covariance import (
     extrinsic_covariance,
     in_parent_axes,
@@ -80,9 +79,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         unit = 1.0 if terms['scale'] == 'fixed' else _unit(pairs)
         fit, pairs = _fit(pairs.scaled(unit), terms)
-        lags = check_lags(fit)
-        covariance = parameter_covariance(fit, lags.excess)
-        of_extrinsic = extrinsic_covariance(fit, optional_terms(terms), lags.excess)
+        covariance = parameter_covariance(fit)
+        of_extrinsic = extrinsic_covariance(fit, optional_terms(terms))
     diagnosis = diagnose(fit, covariance, pairs.stamps_ns, unit)
     return Solution(
         T_a_b=fit.state.T_a_b,
@@ -90,7 +88,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         iterations=fit.iterations,
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
         warnings=(
-            *warnings_of(diagnosis), *lags.warnings(fit.state.T_a_b), *_unsettled(fit)),
+            *warnings_of(diagnosis), *fit.lags.warnings(fit.state.T_a_b), *_unsettled(fit)),
         scale=unit * fit.state.scale,
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,

@@ -20,8 +20,14 @@ import numpy as np
 
 from trajectory_calibration import se3
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.fit import columns_of, Fit
-from trajectory_calibration.solvers.drift.model import IndexArray, linearise
+from trajectory_calibration.solvers.drift.model import (
+    Chain,
+    columns_of,
+    IndexArray,
+    linearise,
+    State,
+)
+from trajectory_calibration.solvers.drift.noise import Noise
 
 # Poses that a motion spans; at least four motions of a lag must fit one after the other.
 LAGS = (1, 2, 5, 10, 20, 50)
@@ -79,12 +85,12 @@ class LagCheck:
         return (sentence,)
 
 
-def check_lags(fit: Fit) -> LagCheck:
+def check_lags(chain: Chain, state: State, noise: Noise) -> LagCheck:
     """Compare the answers of all lags with the most likely one; return the worst."""
-    poses, bodies, disagreement, white, walk = _disagreement(fit)
+    poses, bodies, disagreement, white, walk = _disagreement(chain, state, noise)
     checks = []
     for lag in LAGS:
-        if lag > 1 and lag * _MOTIONS > len(fit.chain):
+        if lag > 1 and lag * _MOTIONS > len(chain):
             break
         start = np.flatnonzero(poses[lag:] - poses[:-lag] == lag)
         end = start + lag
@@ -107,7 +113,7 @@ def check_lags(fit: Fit) -> LagCheck:
 
 
 def _disagreement(
-    fit: Fit,
+    chain: Chain, state: State, noise: Noise,
 ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what a and b disagree by at n poses, all of a short drive.
 
@@ -115,7 +121,6 @@ def _disagreement(
     (n, 6) disagreement, in the axes of the world, up to a constant for each stretch; and roots
     (n, 6, 6) and (n - 1, 6, 6) of the covariances of white noise and walk in those axes.
     """
-    chain, state, noise = fit.chain, fit.state, fit.noise
     stretches = _stretches(len(chain))
     poses = np.concatenate(stretches)
     pieces = [linearise(chain, state, columns_of(()), part[0], part[-1] + 1)

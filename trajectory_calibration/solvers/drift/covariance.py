@@ -16,9 +16,9 @@ import numpy as np
 
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaussian, joined, weigh
-from trajectory_calibration.solvers.drift.fit import columns_of, Fit, scale_covariance
+from trajectory_calibration.solvers.drift.fit import Fit, scale_covariance
 from trajectory_calibration.solvers.drift.likelihood import BLOCKS, FREE_VARIANCE
-from trajectory_calibration.solvers.drift.model import EXTRINSIC
+from trajectory_calibration.solvers.drift.model import columns_of, EXTRINSIC
 from trajectory_calibration.solvers.drift.selection import RIVALS
 
 # How far the scatter of so few blocks may exceed its expectation before it counts in full. The
@@ -28,15 +28,12 @@ from trajectory_calibration.solvers.drift.selection import RIVALS
 _SIGNIFICANT = 1.25
 
 
-def parameter_covariance(fit: Fit, excess: float = 1.0) -> FloatArray:
-    """Return the (m, m) covariance of the estimated global parameters, right perturbations.
-
-    ``excess`` is how many times larger than identified the variances of the noise are.
-    """
-    return _likelihood(fit, fit.terms, excess).covariance
+def parameter_covariance(fit: Fit) -> FloatArray:
+    """Return the (m, m) covariance of the estimated global parameters, right perturbations."""
+    return _likelihood(fit, fit.terms).covariance
 
 
-def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0) -> FloatArray:
+def extrinsic_covariance(fit: Fit, optional: Sequence[str]) -> FloatArray:
     """Return the (6, 6) covariance of the extrinsic, whichever terms the data should have.
 
     It is about the answer of the fit and counts the ``optional`` terms that were left out, or
@@ -49,7 +46,7 @@ def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0)
         optional = [name for name in optional if name != 'scale']
     found = {
         name: weigh(
-            _likelihood(fit, [*sure, *filter(None, (name, time_offset))], excess), fit.state,
+            _likelihood(fit, [*sure, *filter(None, (name, time_offset))]), fit.state,
             name, time_offset,
             drift_for_scale(fit.chain.step_translation, fit.state.scale)
             if name == 'systematic_drift' and 'scale' in optional else 0.0)
@@ -59,24 +56,27 @@ def extrinsic_covariance(fit: Fit, optional: Sequence[str], excess: float = 1.0)
     if found:
         return found.popitem()[1].mean()
     if time_offset:
-        return weigh(_likelihood(fit, [*sure, time_offset], excess), fit.state, None,
-                     time_offset).mean()
-    return parameter_covariance(fit, excess)[EXTRINSIC, EXTRINSIC]
+        return weigh(
+            _likelihood(fit, [*sure, time_offset]), fit.state, None, time_offset).mean()
+    return parameter_covariance(fit)[EXTRINSIC, EXTRINSIC]
 
 
-def _likelihood(fit: Fit, terms: Sequence[str], excess: float) -> Gaussian:
+def _likelihood(fit: Fit, terms: Sequence[str]) -> Gaussian:
     columns = columns_of(terms)
     step, covariance = fit.likelihood.estimate(columns)
     model = scale_covariance(
         covariance, fit.evaluation.position_traces, columns, fit.state.scale)
     if len(fit.chain) < 2 * BLOCKS:
-        return Gaussian(columns, step, excess * model)
+        return Gaussian(columns, step, fit.lags.excess * model)
     gradients = fit.likelihood.gradients(columns, step)
-    return Gaussian(columns, step, _widened(model, gradients, excess))
+    return Gaussian(columns, step, _widened(model, gradients, fit.lags.excess))
 
 
 def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatArray:
-    """Return the (m, m) covariance, larger where the (BLOCKS, m) gradients ask for it."""
+    """Return the (m, m) covariance, larger where the (BLOCKS, m) gradients ask for it.
+
+    It is at least ``excess`` times as large.
+    """
     eigenvalues, axes = np.linalg.eigh(model)
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     # The gradient along a direction without information is rounding: no scatter to learn from.

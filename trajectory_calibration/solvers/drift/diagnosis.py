@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.solvers.drift.fit import columns_of, Fit
-from trajectory_calibration.solvers.drift.model import TERM_COLUMNS
+from trajectory_calibration.solvers.drift.fit import Fit
+from trajectory_calibration.solvers.drift.model import columns_of, TERM_COLUMNS
 
 # A step is named a jump from this probability on.
 _JUMP_PROBABILITY = 0.9

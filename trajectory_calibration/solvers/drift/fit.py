@@ -17,6 +17,7 @@ from scipy.optimize import lsq_linear
 
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.consistency import check_lags, LagCheck
 from trajectory_calibration.solvers.drift.likelihood import (
     evaluate,
     Evaluation,
@@ -27,7 +28,7 @@ from trajectory_calibration.solvers.drift.likelihood import (
 )
 from trajectory_calibration.solvers.drift.model import (
     Chain,
-    EXTRINSIC,
+    columns_of,
     IndexArray,
     linearise,
     PARAMETERS,
@@ -95,13 +96,10 @@ class Fit:
         return global_likelihood(
             self.chain, self.state, self.noise, 0.5 * self.evaluation.position_traces)
 
-
-def columns_of(terms: Sequence[str]) -> IndexArray:
-    """Return the indices of the global parameters: the extrinsic and the named terms."""
-    everything = np.arange(PARAMETERS)
-    parts = [everything[EXTRINSIC], *(
-        everything[columns] for name, columns in TERM_COLUMNS.items() if name in terms)]
-    return np.concatenate(parts)
+    @cached_property
+    def lags(self) -> LagCheck:
+        """Return what short and long motions say of the noise that was found."""
+        return check_lags(self.chain, self.state, self.noise)
 
 
 def first_noise(chain: Chain, state: State, white_share: float) -> Noise:

@@ -22,6 +22,7 @@ The global terms correct the translation ``p`` of a step of b, ``s p - l d``, an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -47,6 +48,14 @@ PARAMETERS = 11
 _REST_SHARE = 0.1
 # Steps over which the speed and the rate of turn of a step are averaged.
 _SPEED_WINDOW, _TURN_WINDOW = 11, 5
+
+
+def columns_of(terms: Sequence[str]) -> IndexArray:
+    """Return the indices of the global parameters: the extrinsic and the named terms."""
+    everything = np.arange(PARAMETERS)
+    parts = [everything[EXTRINSIC], *(
+        everything[columns] for name, columns in TERM_COLUMNS.items() if name in terms)]
+    return np.concatenate(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ pose, walk of a metre), then on all poses, where only a few iterations are left 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -17,14 +18,19 @@ from trajectory_calibration.motions import select_motions
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import quadratic
 from trajectory_calibration.solvers.drift.fit import (
-    columns_of,
     first_noise,
     Fit,
     fit,
     RunawayScaleError,
     settled,
 )
-from trajectory_calibration.solvers.drift.model import Chain, IndexArray, State, TERM_COLUMNS
+from trajectory_calibration.solvers.drift.model import (
+    Chain,
+    columns_of,
+    IndexArray,
+    State,
+    TERM_COLUMNS,
+)
 from trajectory_calibration.solvers.drift.noise import Noise
 
 # Poses of the thinned chain.
@@ -173,7 +179,8 @@ def _starts(pairs: PosePairs) -> list[tuple[FloatArray, float]]:
 def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
     """Take in the optional terms one by one, the most promising first."""
     while True:
-        promised = {name: _gain_of_adding(best, name) for name in optional
+        # Lags that disagree because of what is missing are no reason not to try it.
+        promised = {name: _gain_of_adding(best, name, 1.0) for name in optional
                     if not _excluded(name, best.terms)}
         # Whatever promises less than the best of its rivals is left for the next round, where
         # it would have to be tried again beside what was taken in.
@@ -188,24 +195,27 @@ def _grow(best: Fit, optional: tuple[str, ...]) -> Fit:
 
 def _supported(best: Fit, names: Sequence[str]) -> Fit | None:
     """Return the fit with one of some rivals, or None where none is supported."""
-    fits, gains = {}, {}
+    fits = {}
     for name in names:
-        try:
+        # A term that the motion cannot tell from another one is not supported by it.
+        with suppress(SolverError):
             fits[name] = _compared(best, (*best.terms, name), best.noise.revived())
-        except SolverError:
-            # A term that the motion cannot tell from another one is not supported by it.
-            continue
-        gains[name] = (best.evaluation.objective - fits[name].evaluation.objective
-                       - _prior_cost(name, *_estimated(fits[name], name)))
-    chosen = _choice(gains)
+
+    def choice(excess: float) -> str | None:
+        return _choice({name: _gain_of_fitting(best, fits[name], name, excess) for name in fits})
+
+    # More noise makes no term more likely: what fails without is spared the check of the lags.
+    # Of their disagreement the least counts: a term that is missing makes them disagree, too.
+    chosen = choice(1.0) and choice(min(found.lags.excess for found in fits.values()))
     return None if chosen is None else fits[chosen]
 
 
 def _revise(best: Fit, optional: tuple[str, ...], tolerance: float) -> Fit:
     """Judge the optional terms again on a finer chain; refit where the verdict changes."""
+    excess = best.lags.excess
     kept = [name for name in best.terms
-            if name not in optional or _gain_of_keeping(best, name) > 0]
-    gains = {name: _gain_of_adding(best, name) for name in optional
+            if name not in optional or _gain_of_keeping(best, name, excess) > 0]
+    gains = {name: _gain_of_adding(best, name, excess) for name in optional
              if not _excluded(name, best.terms)}
     added = [_choice({name: gains[name] for name in names}) for names in _rivals([*gains])]
     terms = tuple(name for name in TERM_COLUMNS if name in kept or name in added)
@@ -244,16 +254,28 @@ def _excluded(name: str, terms: Sequence[str]) -> bool:
     return name in terms or (name in RIVALS and bool(set(RIVALS) & set(terms)))
 
 
-def _gain_of_adding(best: Fit, name: str) -> float:
-    """Predict twice the log Bayes factor of one more term from the slope of the likelihood."""
+def _gain_of_adding(best: Fit, name: str, excess: float) -> float:
+    """Predict twice the log Bayes factor of one more term from the slope of the likelihood.
+
+    ``excess`` is how many times larger than identified the variances of the noise are.
+    """
     columns = columns_of((*best.terms, name))
     step, covariance = best.likelihood.estimate(columns)
     place = term_columns(columns, name)
-    return _gain(name, step[place], covariance[np.ix_(place, place)])
+    return _wald_gain(name, step[place], covariance[np.ix_(place, place)], excess)
 
 
-def _gain_of_keeping(best: Fit, name: str) -> float:
-    return _gain(name, *_estimated(best, name))
+def _gain_of_keeping(best: Fit, name: str, excess: float) -> float:
+    return _wald_gain(name, *_estimated(best, name), excess)
+
+
+def _gain_of_fitting(best: Fit, found: Fit, name: str, excess: float) -> float:
+    """Return twice the log Bayes factor of a fit with one more term, from both likelihoods."""
+    value, covariance = _estimated(found, name)
+    # The likelihoods are integrated over the parameters: the volume of the term is in theirs.
+    ratio = (best.evaluation.objective - found.evaluation.objective
+             - float(np.linalg.slogdet(covariance)[1]))
+    return _gain(name, ratio, value, covariance, excess)
 
 
 def _estimated(found: Fit, name: str) -> tuple[FloatArray, FloatArray]:
@@ -262,10 +284,23 @@ def _estimated(found: Fit, name: str) -> tuple[FloatArray, FloatArray]:
     return value_of(found.state, name), found.evaluation.covariance[np.ix_(place, place)]
 
 
-def _gain(name: str, value: FloatArray, covariance: FloatArray) -> float:
-    statistic = float(value @ np.linalg.solve(covariance, value))
+def _wald_gain(name: str, value: FloatArray, covariance: FloatArray, excess: float) -> float:
+    ratio = float(value @ np.linalg.solve(covariance, value))
+    return _gain(name, ratio, value, covariance, excess)
+
+
+def _gain(
+    name: str, ratio: float, value: FloatArray, covariance: FloatArray, excess: float,
+) -> float:
+    """Return twice the log Bayes factor of a term; ``ratio`` is twice the log likelihood ratio.
+
+    Noise with variances that many times larger makes the likelihood that much flatter (the
+    variance inflation factor of quasi-likelihoods; K. P. Burnham, D. R. Anderson, "Model
+    Selection and Multimodel Inference", 2nd edition, 2002, section 2.5).
+    """
+    covariance = excess * covariance
     log_volume = float(np.linalg.slogdet(covariance)[1])
-    return statistic + log_volume - _prior_cost(name, value, covariance)
+    return ratio / excess + log_volume - _prior_cost(name, value, covariance)
 
 
 def _prior_cost(name: str, value: FloatArray, covariance: FloatArray) -> float:
