@@ -15,7 +15,16 @@ from trajectory_calibration import (
 )
 from trajectory_calibration.agreement import parted_steps, require_agreement
 from trajectory_calibration.association import associate
-from trajectory_calibration.simulation import Scenario, SCENARIOS, simulate, Wander
+from trajectory_calibration.simulation import (
+    flat,
+    Noise,
+    Scenario,
+    SCENARIOS,
+    simulate,
+    Unicycle,
+    Wander,
+    with_noise,
+)
 from trajectory_calibration.solvers.drift.selection import estimate
 
 DRIVE = replace(SCENARIOS['offroad'], duration=60.0)
@@ -70,6 +79,12 @@ def test_two_vehicles_that_leave_a_solver_without_an_answer(monkeypatch):
         calibrate(runs[0].a, runs[1].b, replace(config, time_offset_mode='fixed'))
     with pytest.raises(SolverError, match='out of range'):
         calibrate(runs[0].a, runs[0].b, config)
+
+
+def test_too_few_poses_are_what_is_wrong_whatever_they_turned_about():
+    run = simulate(with_noise(Scenario(0.8, Unicycle(ground=flat)), Noise(), Noise()), 3)
+    with pytest.raises(SolverError, match='9 pairs of poses, needed at least 10'):
+        calibrate(run.a, run.b)
 
 
 def test_rivals_are_never_taken_in_together():

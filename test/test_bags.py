@@ -101,6 +101,18 @@ def test_last_path_wins_over_several_bags(tmp_path):
     assert trajectory.warnings == ()
 
 
+@pytest.mark.parametrize('last', ['empty', 'lost', 'unstamped'])
+def test_a_path_without_a_usable_pose_replaces_nothing(tmp_path, last):
+    """A SLAM that is shut down clears its path, and publishes it."""
+    stamps_ns, poses = make_track(6)
+    few = {'empty': (stamps_ns[:0], poses[:0]), 'lost': (stamps_ns[:2], poses[:2] * np.nan),
+           'unstamped': (0 * stamps_ns[:2], poses[:2])}[last]
+    with BagFile(tmp_path / 'bag') as bag:
+        bag.add('/path', bag.messages.path(stamps_ns, poses), 1000)
+        bag.add('/path', bag.messages.path(*few), 1001)
+    _expect(BagSource([tmp_path / 'bag'], '/path').load(), stamps_ns, poses)
+
+
 def test_a_path_of_another_drive_that_is_dropped_is_named(tmp_path):
     stamps_ns, poses = make_track(9)
     for k, name in enumerate(('one', 'two', 'three')):
@@ -184,15 +196,17 @@ def test_poses_that_are_no_poses_are_dropped_and_counted(tmp_path, storage):
     stamps_ns, poses = make_track(10)
     wrong = poses.copy()
     wrong[2, 0], wrong[3, 5], wrong[4, 3:], wrong[5, 3:] = np.nan, np.inf, 0.0, 2 * wrong[5, 3:]
+    wrong[6, 1] = -2e9
     with BagFile(_path(tmp_path, storage), storage) as bag:
         for stamp, pose in zip(stamps_ns, wrong, strict=True):
             bag.add('/odom', bag.messages.odometry(stamp, pose), stamp)
     trajectory = BagSource([_path(tmp_path, storage)], '/odom').load()
-    good = [0, 1, 6, 7, 8, 9]
+    good = [0, 1, 7, 8, 9]
     _expect(trajectory, stamps_ns[good], poses[good])
     assert [note.split(': ', 2)[2] for note in trajectory.warnings] == [
         '2 poses are not finite: dropped',
-        '2 poses have a quaternion that is not of unit length: dropped']
+        '2 poses have a quaternion that is not of unit length: dropped',
+        '1 poses lie more than 1e+09 m away along an axis: dropped']
 
 
 def test_messages_that_are_no_messages_are_dropped_and_counted(tmp_path):

@@ -243,6 +243,14 @@ def test_a_file_cut_off_anywhere_loses_no_more_than_the_last_solver(half_done, k
     assert len(rows_of(path)) == len(whole.splitlines()) - 1
 
 
+def test_a_file_that_ends_in_zeros_is_read(half_done):
+    """As a power cut leaves it."""
+    folder, tasks = half_done
+    with (folder / 'runs.csv').open('ab') as stream:
+        stream.write(b'simulated,noise,0.0,1,dn' + b'\0' * 200_000 + b'\rabc\n')
+    assert not ResultStore(folder).missing(tasks)
+
+
 def test_a_run_written_twice_counts_once(half_done):
     folder, tasks = half_done
     lines = (folder / 'runs.csv').read_text().splitlines(keepends=True)
@@ -522,6 +530,14 @@ def test_bags_are_calibrated_each_by_itself(tmp_path, capsys):
     assert '4 of 5 bags' in err
     assert {row['unobserved'] for row in rows} == {''}
     assert 'not observed' not in err
+    assert all('scale' in row['warnings'] for row in rows[:4])
+
+
+def test_one_topic_is_not_two_sensors(tmp_path, capsys):
+    bags, _ = write_bags(tmp_path, 1)
+    status, out, err = run(capsys, 'benchmark', 'repeat', '/a', '/a', *bags)
+    assert (status, out) == (2, '')
+    assert 'A and B are both /a; needed two sensors' in err
 
 
 def test_a_direction_that_a_bag_leaves_open_is_named(tmp_path, capsys):

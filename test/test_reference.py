@@ -1,10 +1,12 @@
 """`reference: auto`: the choice follows the noise, and is explained."""
 
+from dataclasses import replace
+
 import numpy as np
 from published import simulations
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig
+from trajectory_calibration import calibrate, CalibrationConfig, se3, Trajectory
 from trajectory_calibration.association import associate, associate_nearest, PosePairs
 from trajectory_calibration.motions import parse_reference, select_motions
 from trajectory_calibration.reference import choose_reference
@@ -106,6 +108,23 @@ def test_too_few_poses_to_judge_by():
     choice = choose_reference(few, CalibrationConfig(solver='dnl', reference='auto'))
     assert choice.reference == 'B4'
     assert '9 pairs of poses' in choice.explanation
+
+
+@pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'park', 'ali'])
+def test_motion_that_is_not_enough_is_for_the_solver_to_judge(solver):
+    """Straight on: what is open may be allowed, whatever drift_aware needs to judge by."""
+    rng = np.random.default_rng(4)
+    stamps_ns = np.arange(200) * 10**8
+    straight = np.tile(np.eye(4), (200, 1, 1))
+    straight[:, 0, 3] = np.arange(200) * 0.5
+    X = se3.exp_se3([0.3, -0.2, 0.5, 0.1, 0.2, 1.0])
+    a, b = (Trajectory(stamps_ns, poses @ se3.exp_se3(1e-3 * rng.normal(size=(200, 6))))
+            for poses in (straight, straight @ X))
+    config = CalibrationConfig(solver=solver, allow_unobserved=True)
+    same = calibrate(a, b, replace(config, reference='B5'))
+    found = calibrate(a, b, config)
+    assert found.observability.unobserved == same.observability.unobserved
+    assert found.observability.unobserved
 
 
 def test_a_direction_that_the_motion_did_not_show_has_no_say():

@@ -146,6 +146,16 @@ def test_another_clock_offset_begins_anew_from_what_is_held():
     assert (right.translation_std < 1e-3 * wrong.translation_std).all()
 
 
+def test_gaps_that_may_be_longer_begin_anew_from_what_is_held():
+    stamps_ns, a, b = drive(900, (0, 1, 2))
+    buffers = PoseBuffer(BufferLimits()), PoseBuffer(BufferLimits())
+    monitor = ExcitationMonitor()
+    fill(buffers[0], stamps_ns, a)
+    fill(buffers[1], stamps_ns + 30_000_000, b)
+    assert monitor.update(*buffers, 0, 10_000_000).motions == 0
+    assert monitor.update(*buffers, 0, GAP_NS).motions > 80
+
+
 @pytest.mark.parametrize('limits', [BufferLimits(max_poses=600), BufferLimits(max_age_s=60.0)])
 def test_motion_that_has_left_the_buffers_does_not_count(limits):
     stamps_ns, a, b = drive(900, (0, 1, 2))

@@ -112,7 +112,7 @@ def test_parameters_of_this_node_only_are_taken(bag, tmp_path, capsys):
     path = tmp_path / 'parameters.yaml'
     path.write_text(
         '/front/trajectory_calibration:\n  ros__parameters: {solver: taylor}\n'
-        '/**:\n  ros__parameters: {solver: park, reference: B2}\n'
+        '/**:\n  ros__parameters: {solver: park, reference: B2, use_sim_time: true}\n'
         '/other_node:\n  ros__parameters: {solver: nonsense}\n')
     assert main(['replay', str(bag[0]), '--params-file', str(path), '--format', 'yaml']) == 0
     out = capsys.readouterr().out

@@ -10,12 +10,17 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from trajectory_calibration import ConfigError, se3
+from trajectory_calibration import ConfigError, se3, Trajectory
 from trajectory_calibration.cli import simulate as simulate_command
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.cli.simulate import add_parser, FORMATS
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate
-from trajectory_calibration.simulation.files import MESSAGES, STORAGES, write_bag
+from trajectory_calibration.simulation.files import (
+    MESSAGES,
+    STORAGES,
+    write_bag,
+    write_tum,
+)
 from trajectory_calibration.sources.files import FileSource, read_transform
 
 
@@ -36,6 +41,13 @@ def test_tum_files_hold_the_pair(tmp_path, capsys):
     # The command that it proposes works.
     hint = re.search(r'try: trajectory_calibration (.*)', capsys.readouterr().out)[1]
     assert main([*shlex.split(hint), '--solver', 'park']) == 0
+
+
+def test_stamps_before_the_epoch_do_not_change(tmp_path):
+    stamps_ns = np.array([-1_500_000_000, -200_000_000, -1, 700_000_001])
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    write_tum(tmp_path / 'a.tum', Trajectory(stamps_ns, poses))
+    np.testing.assert_array_equal(FileSource(tmp_path / 'a.tum').load().stamps_ns, stamps_ns)
 
 
 @pytest.mark.parametrize('storage', STORAGES)

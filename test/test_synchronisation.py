@@ -78,6 +78,31 @@ def test_gaps_do_not_matter():
     assert find_clock_offset(holed_a, holed_b, 5.0).seconds == pytest.approx(1.25, abs=2e-3)
 
 
+@pytest.mark.parametrize('days', [2, 30, 20_000])
+def test_pauses_between_drives_do_not_matter(days):
+    """Two bags: what lies between them must not make the cells of the search any longer."""
+    rng = np.random.default_rng(7)
+    pose, X = smooth_body(rng), random_pose(rng)
+    a = perturb(rng, sampled(pose, np.eye(4), 60, 10), 0.01, 0.002)
+    b = perturb(rng, sampled(pose, X, 60, 10, 0.03, -0.4), 0.01, 0.002)
+    pause_ns = days * 86_400 * 10**9
+    a, b = (Trajectory(part.stamps_ns + (part.stamps_ns > 10**18 + 30 * 10**9) * pause_ns,
+                       part.poses) for part in (a, b))
+    found = find_clock_offset(a, b, 5.0)
+    assert abs(found.seconds + 0.4) < max(5 * found.std, 2e-3)
+    assert found.significant
+
+
+def test_one_stamp_from_before_the_clock_was_set_does_not_matter():
+    rng = np.random.default_rng(8)
+    pose = smooth_body(rng)
+    a = perturb(rng, sampled(pose, np.eye(4), 60, 10), 0.01, 0.002)
+    b = perturb(rng, sampled(pose, random_pose(rng), 60, 30, 0.03, 1.2), 0.01, 0.002)
+    b = Trajectory(np.concatenate([[7], b.stamps_ns[1:]]), b.poses)
+    found = find_clock_offset(a, b, 5.0)
+    assert abs(found.seconds - 1.2) < max(5 * found.std, 2e-3)
+
+
 def test_no_turning_tells_nothing():
     t = np.arange(0, 100) * SECOND // 10
     poses = np.tile(np.eye(4), (100, 1, 1))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import se3, Trajectory, TrajectoryError
-from trajectory_calibration.trajectory import MAX_POSITION
+from trajectory_calibration.trajectory import MAX_POSITION, pose_faults
 
 
 @pytest.fixture
@@ -108,9 +108,19 @@ def test_positions_up_to_the_limit_and_unsigned_stamps_are_taken(poses):
     np.testing.assert_array_equal(Trajectory(t.astype(np.uint64), poses).stamps_ns, t)
 
 
-def test_stamps_that_are_further_apart_than_64_bits_hold_are_sorted(poses):
-    t = np.array([2**63 - 1, -2**63, 5])
+def test_stamps_are_no_further_apart_than_64_bits_hold(poses):
+    t = np.array([2**62, -2**62 + 1, 5])
     np.testing.assert_array_equal(Trajectory(t, poses[:3]).stamps_ns, np.sort(t))
+    with pytest.raises(TrajectoryError, match='reach over 585 years, needed less than 292'):
+        Trajectory(np.array([2**63 - 1, -2**63, 5]), poses[:3])
+
+
+def test_faults_of_poses_are_told_apart():
+    rows = np.tile([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8], (7, 1))
+    rows[1, 0], rows[2, 4], rows[3, 3:] = np.nan, np.inf, 0.0
+    rows[4, 3], rows[5, 2], rows[6] = 1e200, -1.1 * MAX_POSITION, [np.inf, 0, 0, 9, 9, 9, 9]
+    found = [np.flatnonzero(mask).tolist() for mask in pose_faults(rows)]
+    assert found == [[1, 2, 6], [3, 4], [5]]
 
 
 # NumPy before 1.24 warns of rows of unequal length where later ones raise.

@@ -243,8 +243,8 @@ def associate_by_interpolation(
         'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
         np.count_nonzero(~outside & ~bridged), between)
     _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
-                   f'than {(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or swap '
-                   'the two trajectories')
+                   f'than {(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or '
+                   'leave it to association auto which sensor is interpolated')
     return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
 
 

@@ -107,7 +107,8 @@ class CalibrationConfig:
         'coinciding stamps where most are',
         choices=METHODS)
     max_gap: float = _option(
-        0.5, 'longest gap of a that interpolation bridges, seconds', minimum=0.0, maximum=3600.0)
+        0.5, 'longest gap that interpolation bridges, of the sensor that is interpolated, seconds',
+        minimum=0.0, maximum=3600.0)
     max_time_difference: float = _option(
         0.02, 'largest time between the poses of a pair for nearest, seconds',
         minimum=0.0, maximum=3600.0)

@@ -9,7 +9,7 @@ import numpy as np
 from trajectory_calibration.agreement import parted_steps, require_agreement
 from trajectory_calibration.association import AssociationSummary
 from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.errors import SolverError, TrajectoryError
+from trajectory_calibration.errors import MotionError, SolverError, TrajectoryError
 from trajectory_calibration.matching import match
 from trajectory_calibration.metrics import relative_errors
 from trajectory_calibration.motions import select_motions
@@ -71,8 +71,11 @@ def calibrate(
         solution = solve(motions, config)
     except SolverError:
         # What two vehicles did may have no solution, which is then not what is wrong.
-        with suppress(SolverError):
-            require_agreement(load_solver('park')(motions, config).T_a_b, *agreed)
+        aligned = None
+        with suppress(MotionError, SolverError):
+            aligned = load_solver('park')(motions, config).T_a_b
+        if aligned is not None:
+            require_agreement(aligned, *agreed)
         raise
     require_agreement(solution.T_a_b, *agreed)
     uncertainty = estimate_uncertainty(solution, motions)

@@ -106,14 +106,7 @@ class ReferenceChoice:
 
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
-    """Return the reference of the configuration, or for ``auto`` the best by expectation.
-
-    Raises
-    ------
-    MotionError
-        The motion does not determine the extrinsic.
-
-    """
+    """Return the reference of the configuration, or for ``auto`` the best by expectation."""
     if config.reference != AUTOMATIC:
         return ReferenceChoice(config.reference)
     usual = f'B{max(1, min(_USUAL, (len(pairs) - 1) // 2))}'
@@ -121,7 +114,9 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
         return ReferenceChoice(usual, f'{config.solver} needs no reference')
     try:
         known = _known(pairs, config)
-    except SolverError as error:
+    except (MotionError, SolverError) as error:
+        # Whether the motion is enough is for the solver that was asked for to say: what it leaves
+        # open may be allowed, or known beforehand.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
     expected: dict[str, float] = {}
     for reference in _CANDIDATES:

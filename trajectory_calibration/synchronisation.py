@@ -60,12 +60,14 @@ class ClockOffset:
     seconds : to be added to the stamps of b.
     std : its standard deviation, seconds, from the scatter of the motions.
     correlation : of the rotations at that offset, 0 to 1.
+    cell_ns : of the grid on which they were compared.
 
     """
 
     seconds: float
     std: float
     correlation: float
+    cell_ns: int
 
     @property
     def significant(self) -> bool:
@@ -121,7 +123,7 @@ def synchronise(
             f'the clock offset within {max_offset_s:g} s cannot be told: {a.sensor_frame} and '
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
             'raise max_time_offset')
-    drift = find_clock_drift(a, shifted, round(found.seconds * 1e9), _cell_ns(a, shifted))
+    drift = find_clock_drift(a, shifted, round(found.seconds * 1e9), found.cell_ns)
     if drift is not None:
         retimed = find_clock_offset(
             a, shifted.retimed(drift.rate, drift.from_ns), max_offset_s)
@@ -143,10 +145,12 @@ def find_clock_offset(
     the limit or beyond it: an offset cannot be told then, which is no error as long as the clocks
     agree.
     """
-    cell_ns = _cell_ns(a, b)
-    start_ns = min(int(a.stamps_ns[0]), int(b.stamps_ns[0]))
-    turned_a, known_a = _turned_in_cells(a, start_ns, cell_ns)
-    turned_b, known_b = _turned_in_cells(b, start_ns, cell_ns)
+    times_a, times_b = _without_pauses(a, b, max_offset_s)
+    usual = max(a.usual_step_ns, b.usual_step_ns)
+    span = max(int(times_a[-1]), int(times_b[-1]))
+    cell_ns = int(max(usual / 2, _LEAST_CELL_NS, span / _MAX_CELLS))
+    turned_a, known_a = _turned_in_cells(a, times_a, cell_ns)
+    turned_b, known_b = _turned_in_cells(b, times_b, cell_ns)
     lags, correlation = _correlate(turned_a, known_a, turned_b, known_b)
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
@@ -163,21 +167,34 @@ def find_clock_offset(
     # Beyond the limit it is the foot of a hill whose top was not looked at.
     if abs(seconds) > max_offset_s:
         return None
-    return ClockOffset(seconds, std, float(correlation[best]))
+    return ClockOffset(seconds, std, float(correlation[best]), cell_ns)
 
 
-def _cell_ns(a: Trajectory, b: Trajectory) -> int:
-    usual = max(a.usual_step_ns, b.usual_step_ns)
-    span = max(int(a.stamps_ns[-1]), int(b.stamps_ns[-1])) - min(
-        int(a.stamps_ns[0]), int(b.stamps_ns[0]))
-    return int(max(usual / 2, _LEAST_CELL_NS, span / _MAX_CELLS))
+def _without_pauses(
+    a: Trajectory, b: Trajectory, max_offset_s: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the stamps of both, from 0 on, with the pauses that both make cut short.
+
+    Between two bags lie days, and before a clock is set decades: cells that filled them would be
+    too long to tell anything. What is left of a pause is a gap of both, longer than any offset, so
+    that nothing is compared across it.
+    """
+    longest_ns = 2 * int(max(max_offset_s * 1e9, longest_step_ns(a), longest_step_ns(b)))
+    both = np.union1d(a.stamps_ns, b.stamps_ns)
+    cut = np.concatenate([[0], np.cumsum(np.maximum(np.diff(both) - longest_ns, 0))]) + both[0]
+    times_a, times_b = (
+        trajectory.stamps_ns - cut[np.searchsorted(both, trajectory.stamps_ns)]
+        for trajectory in (a, b))
+    return times_a, times_b
 
 
 def _turned_in_cells(
-    trajectory: Trajectory, start_ns: int, cell_ns: int,
+    trajectory: Trajectory, stamps_ns: NDArray[np.int64], cell_ns: int,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return (K, 3) rotation in each cell, about the axes of the sensor, and which are known."""
-    stamps_ns = trajectory.stamps_ns - start_ns
+    """Return (K, 3) rotation in each cell, about the axes of the sensor, and which are known.
+
+    ``stamps_ns`` are those of the trajectory, counted from the first cell.
+    """
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(trajectory.turns, axis=0)])
     edges = np.arange(0, int(stamps_ns[-1]) + cell_ns, cell_ns)
     at_edges = np.column_stack([np.interp(edges, stamps_ns, axis) for axis in total.T])

@@ -23,6 +23,8 @@ ROTATION_TOLERANCE = 1e-2
 # enough that squares and differences keep their digits in all that follows.
 MAX_POSITION = 1e9
 
+_YEAR_NS = 365.25 * 86400e9
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -160,6 +162,23 @@ class Trajectory:
         return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
 
 
+def pose_faults(
+    poses: FloatArray,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which of (N, 7) poses (x, y, z, qx, qy, qz, qw) are none.
+
+    Those that are not finite; of the others, those whose quaternion is not of unit length; of the
+    rest, those that lie beyond ``MAX_POSITION``.
+    """
+    finite = np.asarray(np.isfinite(poses).all(axis=1))
+    # The square of a huge number is infinite, which is no unit length either.
+    with np.errstate(over='ignore'):
+        norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
+    unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
+    near = (np.abs(poses[:, :3]) <= MAX_POSITION).all(axis=1)
+    return ~finite, finite & ~unit, finite & unit & ~near
+
+
 def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
     """Return a new float64 array; raise TrajectoryError for rows of unequal length or words."""
     try:
@@ -197,7 +216,12 @@ def _checked_stamps(
             f'stamp {int(np.argmax(array))} is {array.max()} ns, needed less than 2^63, the year '
             '2262; is the unit nanoseconds?')
     stamps_ns = np.array(array, dtype=np.int64)
-    # Compared, not subtracted: the difference of two stamps far apart overflows.
+    if len(stamps_ns):
+        span = int(stamps_ns.max()) - int(stamps_ns.min())
+        if span > np.iinfo(np.int64).max:
+            raise TrajectoryError(
+                f'the stamps reach over {span / _YEAR_NS:.0f} years, needed less than 292; remove '
+                'the strays, or is the unit nanoseconds?')
     later, earlier = stamps_ns[1:], stamps_ns[:-1]
     if np.all(later > earlier):
         return stamps_ns, None, []

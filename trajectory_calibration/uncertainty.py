@@ -63,14 +63,12 @@ class Uncertainty:
     Attributes
     ----------
     covariance : (6, 6), about zero error, order and side as in ``CalibrationResult``.
-    noise : what was identified, or None where the solver gave the covariance.
     drift : (3,) metres per metre of b against a along x, y, z of a, where significant, or None.
     unobserved : (K, 6) directions (dt, dtheta) in which the motion says nothing.
 
     """
 
     covariance: FloatArray
-    noise: PairNoise | None = None
     drift: FloatArray | None = None
     unobserved: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
 
@@ -172,7 +170,6 @@ class _Analysis:
 
     covariance: FloatArray
     bias: FloatArray
-    noise: PairNoise
     unobserved: FloatArray
     drift: FloatArray | None
     by_drift: FloatArray
@@ -181,7 +178,7 @@ class _Analysis:
         covariance = (self.covariance + np.outer(self.bias, self.bias) + np.outer(shift, shift)
                       + self.unobserved.T @ self.unobserved)
         return Uncertainty(
-            0.5 * (covariance + covariance.T), self.noise, drift, self.unobserved)
+            0.5 * (covariance + covariance.T), drift, self.unobserved)
 
 
 def _analyse(
@@ -218,7 +215,6 @@ def _analyse(
     return _Analysis(
         covariance=inflation * inverse @ meat[:6, :6] @ inverse.T,
         bias=-inverse @ sums.clean_score,
-        noise=noise,
         unobserved=unobserved,
         # A rotation that is open is as good an explanation as a drift.
         drift=drift if drifts else None,

@@ -1,3 +1,3 @@
-"""The version of the package; package.xml and setup.py carry the same (a test compares)."""
+"""The version of the package; setup.py reads it here, a test compares package.xml."""
 
 __version__ = '0.1.0'

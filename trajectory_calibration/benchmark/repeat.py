@@ -35,7 +35,8 @@ class BagRecord:
 
     The pose of b in a: metres and a quaternion; NaN where there is no answer, and ``note`` then
     says why. ``unobserved`` names the degrees of freedom that neither the motion nor a prior
-    determines, with commas between: the answer has numbers there that say nothing.
+    determines, with commas between: the answer has numbers there that say nothing. ``warnings``
+    are those of the result, with semicolons between.
     """
 
     bag: str
@@ -50,6 +51,7 @@ class BagRecord:
     e_rt_m: float = float('nan')
     e_rR_deg: float = float('nan')
     unobserved: str = ''
+    warnings: str = ''
     note: str = ''
 
     @property
@@ -93,7 +95,8 @@ def calibrate_bag(task: BagTask) -> BagRecord:
     qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3]).tolist()
     return BagRecord(
         str(task.bag), x, y, z, qx, qy, qz, qw, result.motions, result.metrics.e_rt,
-        float(np.rad2deg(result.metrics.e_rR)), ', '.join(result.observability.unobserved))
+        float(np.rad2deg(result.metrics.e_rR)), ', '.join(result.observability.unobserved),
+        '; '.join(result.warnings))
 
 
 def scatter(records: Sequence[BagRecord]) -> Scatter:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 import csv
 from dataclasses import asdict, astuple, fields, replace
 import io
@@ -131,7 +132,10 @@ def _to_csv(records: Iterable[Record]) -> str:
 
 
 def _from_csv(lines: Iterable[str]) -> Iterator[Record]:
-    return filter(None, map(_to_record, csv.reader(lines)))
+    for line in lines:
+        # A file that lost its end in a power cut may go on with zeros.
+        with suppress(csv.Error):
+            yield from filter(None, map(_to_record, csv.reader([line])))
 
 
 def _to_record(row: Sequence[str]) -> Record | None:

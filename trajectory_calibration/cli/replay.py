@@ -42,10 +42,17 @@ def run(arguments: argparse.Namespace) -> int:
     # rosbags and the YAML library load where they are used, and only there.
     from trajectory_calibration.ros.answer import describe
     from trajectory_calibration.ros.feed import feed_track
-    from trajectory_calibration.ros.options import check_values, find_type, to_config, to_limits
+    from trajectory_calibration.ros.options import (
+        check_values,
+        find_type,
+        is_foreign,
+        to_config,
+        to_limits,
+    )
     from trajectory_calibration.ros.session import CalibrationSession
     from trajectory_calibration.sources.bags import open_bags
-    values = check_values(_read_parameters(arguments.params_file, arguments.param))
+    given = _read_parameters(arguments.params_file, arguments.param)
+    values = check_values({name: given[name] for name in given if not is_foreign(name)})
     topic_a, topic_b = (f'/{values[name].lstrip("/")}' for name in ('topic_a', 'topic_b'))
     if topic_a == topic_b:
         raise ConfigError(f'topic_a and topic_b are both {topic_a}; needed two sensors')

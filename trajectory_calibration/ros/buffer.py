@@ -14,12 +14,17 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.errors import TrajectoryError
 from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.trajectory import MAX_POSITION, ROTATION_TOLERANCE, Trajectory
+from trajectory_calibration.trajectory import (
+    MAX_POSITION,
+    pose_faults,
+    ROTATION_TOLERANCE,
+    Trajectory,
+)
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
 JUMP_NS = 5_000_000_000
-# So many poses in a row must agree before a jump of the clock, or new frames, are believed.
+# So many poses in a row must agree before a jump of the clock is believed.
 CONFIRMATIONS = 3
 # And the new clock must go on for so long: at 200 Hz three poses are over in 10 ms, which a
 # receiver that starts anew fills with wrong stamps.
@@ -214,13 +219,8 @@ class PoseBuffer:
         """
         self.received += 1
         stamped = stamps_ns != 0
-        finite = np.isfinite(poses).all(axis=1)
-        # The square of a huge number is infinite, which is no unit length either.
-        with np.errstate(over='ignore'):
-            norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
-        unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
-        near = (np.abs(poses[:, :3]) <= MAX_POSITION).all(axis=1)
-        good = np.flatnonzero(stamped & finite & unit & near)
+        faults = pose_faults(poses)
+        good = np.flatnonzero(stamped & ~np.any(faults, axis=0))
         order = good[np.argsort(stamps_ns[good], kind='stable')]
         first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
         order = order[first]
@@ -228,9 +228,8 @@ class PoseBuffer:
         self.refused = {why: self.refused[why] if why in _OF_MESSAGES else 0 for why in Refusal}
         for why, refused in (
                 (Refusal.NO_STAMP, ~stamped),
-                (Refusal.NOT_FINITE, stamped & ~finite),
-                (Refusal.NOT_UNIT, stamped & finite & ~unit),
-                (Refusal.TOO_FAR, stamped & finite & unit & ~near),
+                *zip((Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
+                     (stamped & bad for bad in faults), strict=True),
                 (Refusal.DUPLICATE, ~first)):
             self.refused[why] = int(np.count_nonzero(refused))
         self.refused[Refusal.STRAY_STAMP] = strays

@@ -99,7 +99,7 @@ class ExcitationMonitor:
 
     def __init__(self) -> None:
         self.at_a = False
-        self._basis = (-1, -1, 0, False)
+        self._basis = (-1, -1, 0, 0, False)
         # Motions whose poses have left the buffers.
         self._left = 0
         self._clear()
@@ -109,8 +109,9 @@ class ExcitationMonitor:
     ) -> Excitation:
         """Take what has arrived since the last call and return the state of things."""
         self.at_a = is_sparser(a.stamps_ns, b.stamps_ns)
-        # Sums over other poses, or over pairs at another offset, say nothing about these.
-        basis = (a.generation, b.generation, time_offset_ns, self.at_a)
+        # Sums over other poses, or over pairs at another offset or across other gaps, say nothing
+        # about these.
+        basis = (a.generation, b.generation, time_offset_ns, max_gap_ns, self.at_a)
         if basis != self._basis:
             self._basis = basis
             self._left = 0
@@ -212,8 +213,7 @@ class _MotionSums:
 
     def excitation(self, left: int) -> Excitation:
         """Return what the sums say, after ``left`` motions that are no longer in them."""
-        U, _, Vt = np.linalg.svd(self._phi_a_phi_b)
-        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        R = se3.nearest_rotation(self._phi_a_phi_b)
         seen = _symmetric(self._phi_a_phi_b @ R.T)
         rms = np.sqrt(np.maximum(np.diag(seen), 0.0) / max(1, self.motions))
         if self.motions < _FEWEST:

@@ -19,6 +19,10 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.buffer import BufferLimits
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 
+# What rclpy itself declares on every node, and how the names begin that it may declare.
+_FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
+_FOREIGN_PREFIX = 'qos_overrides.'
+
 # The type that means: what the topic's publishers offer.
 AUTOMATIC = 'auto'
 
@@ -90,6 +94,11 @@ _GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
 OPTIONS = {option.name: option for _, options, _ in _GROUPS for option in options}
 FIXED_NAMES = frozenset(
     option.name for _, options, changeable in _GROUPS if not changeable for option in options)
+
+
+def is_foreign(name: str) -> bool:
+    """Tell whether a parameter is not the node's own, but what rclpy declares on every node."""
+    return name in _FOREIGN_NAMES or name.startswith(_FOREIGN_PREFIX)
 
 
 def check_values(values: Mapping[str, Any]) -> dict[str, Any]:

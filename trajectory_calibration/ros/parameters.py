@@ -16,11 +16,7 @@ from rclpy.parameter import Parameter
 
 from trajectory_calibration.config import Option
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.ros.options import check_values, FIXED_NAMES, OPTIONS
-
-# What rclpy itself declares on every node, and how the names begin that it may declare.
-_FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
-_FOREIGN_PREFIX = 'qos_overrides.'
+from trajectory_calibration.ros.options import check_values, FIXED_NAMES, is_foreign, OPTIONS
 
 
 class NodeParameters:
@@ -40,7 +36,7 @@ class NodeParameters:
         self._node = node
         given = {
             name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
-            if not _is_foreign(name)}
+            if not is_foreign(name)}
         values = check_values(given)
         for name in given:
             node.undeclare_parameter(name)
@@ -58,16 +54,12 @@ class NodeParameters:
 
     def _on_set(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         changes = {parameter.name: parameter.value for parameter in parameters
-                   if not _is_foreign(parameter.name)}
+                   if not is_foreign(parameter.name)}
         try:
             check_values({**self.values(), **changes})
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
-
-
-def _is_foreign(name: str) -> bool:
-    return name in _FOREIGN_NAMES or name.startswith(_FOREIGN_PREFIX)
 
 
 def _descriptor(option: Option) -> ParameterDescriptor:

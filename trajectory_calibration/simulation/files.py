@@ -32,7 +32,8 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     quaternions = se3.rotation_to_quaternion(trajectory.rotations)
     numbers = np.column_stack([trajectory.positions, quaternions]).tolist()
     rows = ''.join(
-        f'{stamp // 10**9}.{stamp % 10**9:09d} {" ".join(map(repr, row))}\n'
+        f'{"-" * (stamp < 0)}{abs(stamp) // 10**9}.{abs(stamp) % 10**9:09d} '
+        f'{" ".join(map(repr, row))}\n'
         for stamp, row in zip(trajectory.stamps_ns.tolist(), numbers, strict=True))
     header = f'# {trajectory.sensor_frame} in {trajectory.world_frame}: t x y z qx qy qz qw\n'
     write_text(path, header + rows, SourceError)

@@ -52,7 +52,7 @@ class Solution:
     ----------
     T_a_b : (4, 4), the pose of sensor b in sensor a.
     cost : the solver's own cost at the answer, in the units of its module's formula.
-    iterations : iterations of the start that won.
+    iterations : steps of the method, over all of its starts where they go side by side.
     inliers : (M,) bool, the motions that the solver kept, or None where it rejects none.
     covariance : (6, 6) or None; order and side as in ``CalibrationResult``.
     linearise : its estimating equations, from which the covariance follows where a solver has

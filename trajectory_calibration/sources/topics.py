@@ -12,7 +12,7 @@ from trajectory_calibration.errors import SourceError, TrajectoryError
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.deserialise import Deserialiser
-from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
+from trajectory_calibration.trajectory import MAX_POSITION, pose_faults, Trajectory
 
 # Messages held as bytes before they become numbers: enough to make NumPy's overhead vanish.
 _BLOCK = 8192
@@ -115,14 +115,12 @@ class TopicTrack:
         return self.stamps_ns
 
     def _keep_poses(self, keep: NDArray[np.bool_], notes: list[str]) -> None:
-        finite = np.isfinite(self.poses).all(axis=1)
-        with np.errstate(over='ignore', invalid='ignore'):
-            unit = np.abs(np.linalg.norm(self.poses[:, 3:], axis=1) - 1) <= ROTATION_TOLERANCE
-        for bad, what in ((keep & ~finite, 'are not finite'),
-                          (keep & finite & ~unit, 'have a quaternion that is not of unit length')):
-            if bad.any():
-                notes.append(f'{np.count_nonzero(bad)} poses {what}: dropped')
-        keep &= finite & unit
+        for bad, what in zip(pose_faults(self.poses), (
+                'are not finite', 'have a quaternion that is not of unit length',
+                f'lie more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
+            if (bad & keep).any():
+                notes.append(f'{np.count_nonzero(bad & keep)} poses {what}: dropped')
+            keep &= ~bad
 
 
 class TopicCollector:
@@ -142,8 +140,11 @@ class TopicCollector:
         # Bags count in unsigned numbers; a damaged one may hold any.
         received_ns = min(received_ns, _INT64_MAX)
         if self._msgtype == cdr.PATH:
-            # A SLAM publishes its whole optimised path again and again: the last one counts.
-            self._waiting, self._received = [message], [received_ns]
+            # A SLAM publishes its whole optimised path again and again: the last one counts, but
+            # for one without a usable pose. Paths grow: only a shorter one is looked into.
+            shorter = bool(self._waiting) and len(message) < len(self._waiting[0])
+            if not shorter or self._is_usable(message):
+                self._waiting, self._received = [message], [received_ns]
             return
         self._waiting.append(message)
         self._received.append(received_ns)
@@ -182,12 +183,17 @@ class TopicCollector:
             block.stamps_ns[read], np.array(received, dtype=np.int64)[read], block.poses[read],
             block.frame_index[read], tuple(block.frames)))
 
+    def _is_usable(self, message: bytes) -> bool:
+        path = self._path(message)
+        return path is not None and not np.all(
+            np.any([path.stamps_ns == 0, *pose_faults(path.poses)], axis=0))
+
+    def _path(self, message: bytes) -> cdr.PathPoses | None:
+        path = None if self._ros1 else cdr.parse_path(message)
+        return self._general.path(message) if path is None else path
+
     def _path_track(self) -> TopicTrack:
-        path = None
-        if self._waiting and not self._ros1:
-            path = cdr.parse_path(self._waiting[0])
-        if self._waiting and path is None:
-            path = self._general.path(self._waiting[0])
+        path = self._path(self._waiting[0]) if self._waiting else None
         if path is None:
             return TopicTrack(
                 self._topic, self._msgtype, self.count, min(self.count, 1), *_nothing(), ())

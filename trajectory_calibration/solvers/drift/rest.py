@@ -73,7 +73,7 @@ def without_rest(pairs: PosePairs) -> Drive:
 
 
 def _usual(moved: FloatArray) -> float:
-    """Return the (n,) distance at which half of the way is behind, whatever the time at rest."""
+    """Return the one of (n,) moves at which half of the way is behind, however long the rest."""
     ascending = np.sort(moved)[:max(1, round((1 - _TRIMMED) * len(moved)))]
     way = np.cumsum(ascending)
     return float(ascending[np.searchsorted(way, 0.5 * way[-1])])
