@@ -106,6 +106,17 @@ def test_clocks_farther_apart_than_was_looked_for(solver, offset):
     assert found.time_offset_s == pytest.approx(-offset, abs=0.01)
 
 
+@pytest.mark.parametrize('offset', [6.0, 8.0, 15.0])
+def test_clocks_too_far_apart_on_flat_ground(offset):
+    """About one axis half of all turns have the right sign by chance."""
+    motion = Unicycle(speed=5.0, yaw_rate=0.3, ground=flat)
+    for seed in range(4):
+        run = simulate(replace(DRIVE, duration=90.0, motion=motion), seed)
+        late = replace(run.b, stamps_ns=run.b.stamps_ns + round(offset * 1e9))
+        with pytest.raises(MotionError, match='did not turn together'):
+            calibrate(run.a, late, CalibrationConfig(solver='park', reference='B5'))
+
+
 @pytest.mark.parametrize('name', sorted(SCENARIOS))
 def test_one_vehicle_is_never_suspected(name):
     scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))

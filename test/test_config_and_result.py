@@ -110,9 +110,10 @@ def test_what_is_no_number_is_refused(value):
 
 def test_a_value_that_is_given_is_known():
     assert CalibrationConfig().mode('time_offset') == 'auto'
-    assert CalibrationConfig(time_offset=0.1).mode('time_offset') == 'fixed'
-    assert CalibrationConfig(time_offset=0.1, time_offset_mode='estimate').mode(
-        'time_offset') == 'estimate'
+    # A clock offset is read off somewhere: the search begins there.
+    assert CalibrationConfig(time_offset=0.1).mode('time_offset') == 'auto'
+    assert CalibrationConfig(time_offset=0.1, time_offset_mode='fixed').mode(
+        'time_offset') == 'fixed'
     assert CalibrationConfig(scale=0.98).mode('scale') == 'fixed'
     assert CalibrationConfig(max_time_offset=0.0).mode('time_offset') == 'fixed'
     assert CalibrationConfig().mode('systematic_drift') == 'auto'

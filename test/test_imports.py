@@ -18,7 +18,7 @@ FLOW = (
     ('se3', 'reading', 'writing'),
     ('trajectory', 'interpolation'),
     ('turning',),
-    ('clock_drift',),
+    ('clock_drift', 'coarse_offset'),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),
     ('solvers.__init__',),

@@ -27,6 +27,8 @@ from trajectory_calibration.trajectory import Trajectory
 # Lags that are looked at: short ones have fewer jumps in them, long ones turn farther.
 _LAGS = (1, 2, 5, 20, 80)
 _MOTIONS = 4000
+# With so few of them, the best one counts, otherwise the second best.
+_TOO_FEW_LAGS = 2
 
 # Turns, radians, that are compared: larger than noise ever is, and well below half a turn, which
 # is the same the other way round. Fewer than this many turns say nothing.
@@ -35,7 +37,7 @@ _LEAST_TURNS = 5
 
 # Squared difference of two turns relative to both, above which they disagree: 0 for equal ones,
 # 1 for such as have nothing in common. Median over the turns.
-_DISAGREEMENT = 0.05
+_DISAGREEMENT = 0.03
 
 # From this disagreement on inverted poses are tried; they are the explanation where they leave
 # this share of it. Of a vehicle that turns about one axis they agree as well as the others.
@@ -57,7 +59,7 @@ def require_agreement(
     if not turns:
         return
     R = T_a_b[:3, :3]
-    found = min(_disagreement(turn_a, turn_b @ R.T) for turn_a, turn_b in turns)
+    found = _usual([_disagreement(turn_a, turn_b @ R.T) for turn_a, turn_b in turns])
     possible = _least_disagreement(turns)
     inverted = _least_if_inverted(a, b, config) if possible > _SUSPICIOUS else np.inf
     if inverted < _MUCH_LESS * possible:
@@ -126,9 +128,19 @@ def _turns(pairs: PosePairs) -> Iterator[tuple[FloatArray, FloatArray]]:
 
 
 def _least_disagreement(turns: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the disagreement over the best lag, with the best rotation between the sensors."""
-    return min(_disagreement(turn_a, turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T)
-               for turn_a, turn_b in turns)
+    """Return the disagreement with the best rotation between the sensors."""
+    return _usual([_disagreement(turn_a, turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T)
+                   for turn_a, turn_b in turns])
+
+
+def _usual(disagreements: Sequence[float]) -> float:
+    """Return the disagreement that counts, of those over each lag: the second smallest.
+
+    Short turns are those in which noise is large, long ones those with jumps in them. But one lag
+    alone may agree by chance: about one axis, half of all turns have the right sign.
+    """
+    ascending = sorted(disagreements)
+    return ascending[1] if len(ascending) > _TOO_FEW_LAGS else ascending[0]
 
 
 def _size(turn_a: FloatArray, turn_b: FloatArray) -> FloatArray:

@@ -115,8 +115,8 @@ class CalibrationConfig:
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
-        'auto', f'{_MODES}, unless time_offset is other than 0; not fixed, a clock that '
-        'drifts is corrected as well', choices=MODES)
+        'auto', f'{_MODES}, around time_offset; not fixed, a clock that drifts is corrected as '
+        'well', choices=MODES)
     max_time_offset: float = _option(
         5.0, 'largest clock offset that is looked for around time_offset, seconds; drift_aware '
         'refines what is found, 0 leaves the clocks alone', minimum=0.0, maximum=3600.0)
@@ -182,13 +182,13 @@ class CalibrationConfig:
     def mode(self, term: str) -> str:
         """Return 'fixed', 'estimate' or 'auto' for 'time_offset', 'scale', 'systematic_drift'.
 
-        A value that is given is known: it turns 'auto' into 'fixed', as does a time offset that
-        may not be any.
+        A scale that is given is known: it turns 'auto' into 'fixed', as does a time offset that
+        may not be any. A time offset that is given is where the search begins.
         """
         mode: str = getattr(self, f'{term}_mode')
-        given = getattr(self, term, None) != getattr(type(self), term, None) or (
-            term == 'time_offset' and self.max_time_offset == 0)
-        return 'fixed' if mode == 'auto' and given else mode
+        known = {'scale': self.scale != type(self).scale,
+                 'time_offset': self.max_time_offset == 0}
+        return 'fixed' if mode == 'auto' and known.get(term, False) else mode
 
     @property
     def prior(self) -> Prior:

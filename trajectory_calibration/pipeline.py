@@ -127,6 +127,12 @@ def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:
         offset = f'clock offset {1e3 * (clock.offset_s - given_s):+.1f} ms'
         warnings.append(
             f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}')
+    if clock.rivals_s:
+        others = ', '.join(f'{seconds:+.3f}' for seconds in clock.rivals_s[:3])
+        warnings.append(
+            f'the clocks may as well be {others} s apart, and the extrinsic then another one: the '
+            'motion repeats itself, or is too short to tell; move irregularly, or set time_offset '
+            'and time_offset_mode fixed')
     if clock.drift:
         apart_ms = abs(1e3 * clock.drift * b.duration_s)
         warnings.append(

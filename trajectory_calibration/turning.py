@@ -99,9 +99,18 @@ class Turning:
 
         These are later by ``shift_ns`` in the middle, and by ``drift`` (s/s) more from there on.
         """
-        start, end = (self._rotation_at(self._moved(times, shift_ns, drift))
-                      for times in (self.starts_ns, self.ends_ns))
-        return se3.log_so3(np.swapaxes(start, 1, 2) @ end)
+        return self.of_a_with_noise(shift_ns, drift)[0]
+
+    def of_a_with_noise(self, shift_ns: int, drift: float = 0.0) -> tuple[FloatArray, float]:
+        """Return ``of_a``, and how much of the noise of a pose is in it.
+
+        That is the mean over the windows of the variances at both ends, for a variance of one of a
+        pose: half-way between two poses half of it is left.
+        """
+        (start, at_start), (end, at_end) = (
+            self._rotation_at(self._moved(times, shift_ns, drift))
+            for times in (self.starts_ns, self.ends_ns))
+        return se3.log_so3(np.swapaxes(start, 1, 2) @ end), at_start + at_end
 
     def known(self, shift_ns: int, drift: float, reach_ns: int) -> NDArray[np.bool_]:
         """Tell which of the moved windows begin and end in no gap of a, nor near its ends."""
@@ -117,11 +126,12 @@ class Turning:
             moved += np.rint(drift * (times - self.middle_ns)).astype(np.int64)
         return moved
 
-    def _rotation_at(self, times: NDArray[np.int64]) -> FloatArray:
+    def _rotation_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, float]:
         stamps = self.a.stamps_ns
         left = left_of(stamps, times)
         fraction = (times - stamps[left]) / (stamps[left + 1] - stamps[left])
-        return self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.a.turns[left])
+        rotation = self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.a.turns[left])
+        return rotation, float(np.mean(fraction**2 + (1 - fraction)**2))
 
 
 def _spread(count: int) -> tuple[NDArray[np.intp], int]:
