@@ -61,6 +61,16 @@ def test_a_mistaken_convention_is_named(name, mistake):
                 calibrate(a, b, config)
 
 
+@pytest.mark.parametrize(('solver', 'unit'), [('ali', 1 / 0.3048), ('zhuang', 1e-3)])
+def test_a_wrong_unit_is_not_taken_for_two_vehicles(solver, unit):
+    run = simulate(DRIVE, 0)
+    b = run.b.scaled(unit)
+    with pytest.raises(MotionError, match=(
+            f'rotation that {solver} found .* did turn together; .* check their unit and scale')):
+        calibrate(run.a, b, CalibrationConfig(solver=solver, reference='B5'))
+    assert calibrate(run.a, b).scale == pytest.approx(1 / unit, rel=0.05)
+
+
 def test_two_vehicles_are_accused_of_no_mistaken_convention():
     for seed in range(4):
         a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b

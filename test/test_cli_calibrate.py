@@ -84,6 +84,9 @@ def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
     assert '  1 sigma about   x 0.200  y 0.200  z 0.200 deg\n' in text
     assert '1.02000 on the translations of sensor_b' in text
     assert '0.1000 s on sensor_b' in text
+    data |= {'scale': 0.00100036, 'diagnosis': {'scale_deviation': 2.3e-7}}
+    text = format_result(CalibrationResult.from_dict(data))
+    assert '0.00100036 +- 2.3e-07 on the translations of sensor_b' in text
 
 
 @pytest.mark.parametrize('sigma, words', [

@@ -17,7 +17,7 @@ FLOW = (
     ('errors', 'version'),
     ('se3', 'reading', 'writing'),
     ('trajectory', 'interpolation'),
-    ('turning',),
+    ('turning', 'units'),
     ('clock_drift', 'coarse_offset'),
     ('sources', 'simulation', 'association', 'synchronisation'),
     ('motions', 'priors'),

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from trajectory_calibration import calibrate, CalibrationConfig, ConfigError, MotionError, se3
+from trajectory_calibration import (
+    calibrate,
+    CalibrationConfig,
+    ConfigError,
+    MotionError,
+    se3,
+    Trajectory,
+)
 from trajectory_calibration.priors import apply_prior, parse_prior
 from trajectory_calibration.simulation import (
     flat,
@@ -107,6 +114,76 @@ def test_is_the_minimum_of_both_costs():
     np.testing.assert_allclose(posterior, np.linalg.inv(information), atol=5e-6)
 
 
+@pytest.mark.parametrize('off', [0.0, 1.0, -2.5, np.pi])
+def test_about_an_axis_that_is_open_it_is_the_minimum_of_both_costs_from_anywhere(off):
+    """Of a straight drive, both know its direction: the answer about it is arbitrary."""
+    rng = np.random.default_rng(7)
+    along = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
+    truth = random_pose(rng)
+    in_b = truth[:3, :3].T @ along
+    sigma = np.deg2rad(0.05)
+    across = sigma**2 * (np.eye(3) - np.outer(along, along))
+    covariance = np.diag([100.0] * 6)
+    covariance[3:, 3:] = across + np.pi**2 * np.outer(along, along)
+    T = se3.moved(truth, np.r_[np.zeros(3), off * along])
+    given = se3.moved(truth, np.r_[np.zeros(3), np.deg2rad([0.8, -0.5, 0.3])])
+    prior = parse_prior('', '', text(rpy(given)), '1,0.5,2')
+    found, posterior = apply_prior(T, covariance, prior)
+
+    def cost(turn):
+        moved = se3.moved(truth, np.r_[np.zeros(3), turn])
+        return (np.sum((moved[:3, :3] @ in_b - along)**2) / sigma**2
+                + np.sum((prior.deviation(moved)[3:] / prior.rotation_std)**2))
+
+    best = minimize(cost, np.zeros(3), method='BFGS', options={'gtol': 1e-9}).x
+    turned = se3.step_between(truth, found)[3:]
+    # Half a turn stands for "unknown": about the axis it counts, but next to nothing.
+    np.testing.assert_allclose(turned, best, atol=1e-2 * np.deg2rad(1))
+    assert along @ posterior[3:, 3:] @ along < np.deg2rad(2.1)**2
+
+
+def straight_drive(seed):
+    """Return a and b over 60 s straight ahead, with noise, and the pose of b in a."""
+    rng = np.random.default_rng(seed)
+    X = random_pose(rng)
+    stamps_ns = np.arange(600) * 100_000_000
+    ahead = np.tile(np.eye(4), (600, 1, 1))
+    ahead[:, 0, 3] = 3e-9 * stamps_ns
+    a, b = (perturb(rng, Trajectory(stamps_ns, T), 0.005, 0.001)
+            for T in (ahead, se3.inverse(X) @ ahead @ X))
+    return a, b, X
+
+
+@pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'ali', 'park', 'taylor', 'zhuang',
+                                    'drift_aware'])
+def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver):
+    for seed in range(5):
+        a, b, X = straight_drive(seed)
+        config = CalibrationConfig(
+            solver=solver, prior_rotation=text(rpy(X)), prior_rotation_std='1',
+            prior_translation=text(X[:3, 3]), prior_translation_std='0.01')
+        try:
+            found = calibrate(a, b, config)
+        except ConfigError as refused:
+            # Noise may pass for a turn with them, and their translation then hangs on it.
+            assert solver in ('park', 'taylor')
+            assert 'use drift_aware or dnl' in str(refused)
+            continue
+        error = found.absolute_errors(X)
+        assert error.e_aR < np.deg2rad(0.3)
+        assert error.e_at < 1e-4
+        assert found.observability.unobserved == ()
+        assert found.observability.status['rotation x'] == 'prior'
+
+
+def test_a_prior_that_contradicts_the_direction_of_a_straight_drive_is_refused():
+    a, b, X = straight_drive(0)
+    wrong = se3.exp_so3(np.deg2rad([0.0, 0.0, 40.0])) @ X[:3, :3]
+    with pytest.raises(ConfigError, match='needed less than 15; check prior_rotation'):
+        calibrate(a, b, CalibrationConfig(
+            prior_rotation=text(rpy(wrong)), prior_rotation_std='0.01'))
+
+
 def test_none_changes_nothing():
     T = se3.exp_se3(np.arange(6.0))
     found, covariance = apply_prior(T, np.eye(6), parse_prior('', '', '', ''))
@@ -191,6 +268,14 @@ def test_a_prior_of_the_translation_that_turns_an_open_rotation_is_named_as_that
     with pytest.raises(ConfigError, match=r'prior of the translation turns .* give prior_rot'):
         run_with(NOISY_FLAT, 5, solver='park', prior_translation='-,-,0.8',
                  prior_translation_std='0.02')
+
+
+def test_a_translation_that_hangs_on_an_open_rotation_is_not_turned_with_it():
+    """On flat ground park leaves the heading open, and finds the translation that fits it."""
+    truth = simulate(NOISY_FLAT, 5).T_a_b
+    with pytest.raises(ConfigError, match='the motion leaves open to this solver; use drift_aw'):
+        run_with(NOISY_FLAT, 5, solver='park', prior_rotation=text(rpy(truth)),
+                 prior_rotation_std='1')
 
 
 def test_a_weak_prior_counts_little():

@@ -6,7 +6,7 @@ import numpy as np
 from published import simulations
 import pytest
 
-from trajectory_calibration import calibrate, CalibrationConfig, se3, Trajectory
+from trajectory_calibration import calibrate, CalibrationConfig, MotionError, se3, Trajectory
 from trajectory_calibration.association import associate, associate_nearest, PosePairs
 from trajectory_calibration.motions import parse_reference, select_motions
 from trajectory_calibration.reference import choose_reference
@@ -91,6 +91,15 @@ def test_a_given_reference_is_taken():
     found = calibrate(run.a, run.b, CalibrationConfig(solver='dnl', reference='b7'))
     assert found.reference == 'B7'
     assert found.reference_choice is None
+
+
+def test_a_solver_that_needs_none_does_not_fail_for_one_that_is_too_long():
+    run = simulate(SCENARIOS['noise'], 1)
+    found = calibrate(run.a, run.b, CalibrationConfig(reference='B5000'))
+    assert found.reference == 'B5'
+    assert 'B5000 is too long' in found.reference_choice
+    with pytest.raises(MotionError, match='use a smaller n'):
+        calibrate(run.a, run.b, CalibrationConfig(solver='dnl', reference='B5000'))
 
 
 def test_a_solver_that_needs_none_is_not_run_twice():

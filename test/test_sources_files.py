@@ -164,6 +164,8 @@ def test_last_line_without_an_end_is_used(tmp_path, track):
     ('1 2 3 x 0 0 0 1', "line 3: needed 8 numbers; found '1 2 3 x 0 0 0 1'"),
     ('1 2 3 1_0 0 0 0 1', 'line 3: needed 8 numbers'),
     ('1 2 3 \u00e9 0 0 0 1', 'line 3: needed 8 numbers'),
+    ('1700000000123 2 3 4 0 0 0 1', 'line 3: .* milliseconds. Then divide them by 1000;'),
+    ('1700000000123456 2 3 4 0 0 0 1', 'line 3: .* microseconds. Then divide them by 1e6;'),
     ('1700000000123456789 2 3 4 0 0 0 1', 'line 3: the time .* are these nanoseconds'),
     ('1 2 3 4 0.5 0 0 0', 'line 3: the norm of the quaternion is 0.5, needed 1'),
     ('1 2 3 4 1e200 0 0 0', 'line 3: the norm of the quaternion is inf'),

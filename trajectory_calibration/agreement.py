@@ -39,8 +39,9 @@ _LEAST_TURNS = 5
 # 1 for such as have nothing in common. Median over the turns.
 _DISAGREEMENT = 0.03
 
-# From this disagreement on inverted poses are tried; they are the explanation where they leave
-# this share of it. Of a vehicle that turns about one axis they agree as well as the others.
+# Up to this disagreement the best rotation tells that they turned together, whatever a solver
+# says; from there on inverted poses are tried, which are the explanation where they leave this
+# share of it. Of a vehicle that turns about one axis they agree as well as the others.
 _SUSPICIOUS, _MUCH_LESS = 0.01, 0.1
 
 # Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
@@ -65,6 +66,8 @@ def require_agreement(
     if inverted < _MUCH_LESS * possible:
         advice = ('they would agree if the poses of one of them were inverted, or its quaternions '
                   'had w first: give the pose of the sensor in its world, as x, y, z, w')
+    elif found > _DISAGREEMENT and possible <= _SUSPICIOUS:
+        raise MotionError(_misfit(found, possible, a.sensor_frame, b.sensor_frame, config.solver))
     elif found > _DISAGREEMENT:
         advice = ('check the topics or files, the order of their quaternions (x, y, z, w), and '
                   'the clocks (max_time_offset is how far apart they may be)')
@@ -74,6 +77,21 @@ def require_agreement(
         f'{a.sensor_frame} and {b.sensor_frame} did not turn together: half of their turns differ '
         f'by more than {np.sqrt(2 * found):.0%}; needed two trajectories of one vehicle at the '
         f'same time: {advice}')
+
+
+def _misfit(found: float, possible: float, name_a: str, name_b: str, solver: str) -> str:
+    """Say that the rotation of a solver does not fit turns that agree by themselves.
+
+    A method that weighs rotation and translation together gives up the rotation where the
+    lengths of one sensor are far from those of the other.
+    """
+    scale = ('give it (scale)' if solver == 'drift_aware' else
+             'give it (scale), or use solver drift_aware, which finds it')
+    return (
+        f'the rotation that {solver} found does not fit the turns: half of them differ by more '
+        f'than {np.sqrt(2 * found):.0%}, with the best rotation by {np.sqrt(2 * possible):.1%}; '
+        f'{name_a} and {name_b} did turn together; needed positions of both in one unit: check '
+        f'their unit and scale; {scale}')
 
 
 def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> float:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from trajectory_calibration.association import associate, PosePairs
 from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.synchronisation import Clock, synchronise
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.units import doubts_of_both
 
 
 def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
@@ -14,12 +16,20 @@ def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Cloc
     Raises
     ------
     AssociationError
-        As ``synchronise`` and ``associate``.
+        As ``synchronise`` and ``associate``, with a question where stamps of another unit may be
+        why.
 
     """
-    clock = synchronise(
-        a, b, config.time_offset, config.mode('time_offset'), config.max_time_offset)
-    return clock, match_at(a, b, clock, config)
+    try:
+        clock = synchronise(
+            a, b, config.time_offset, config.mode('time_offset'), config.max_time_offset)
+        return clock, match_at(a, b, clock, config)
+    except AssociationError as error:
+        doubts = doubts_of_both(a, b)
+        if not doubts:
+            raise
+        # The question first: an offset or a longer gap would only hide a wrong unit.
+        raise AssociationError(f'{"; ".join(doubts)}; {error}') from error
 
 
 def match_at(

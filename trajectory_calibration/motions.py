@@ -65,12 +65,14 @@ def parse_reference(reference: str) -> tuple[str, int]:
     Raises
     ------
     ConfigError
-        For anything else than 'A', 'B<n>' or 'C<n>' with n >= 1.
+        For anything else than 'A', 'B<n>' with n >= 1, or 'C<n>' with n >= 2.
 
     """
     match = re.fullmatch(r'(A)|([BC])([1-9]\d{0,99})', reference.strip().upper())
     if match is None:
         raise ConfigError(f'reference {reference!r} is unknown; needed {REFERENCE_HELP}')
+    if match[2] == 'C' and int(match[3]) == 1:
+        raise ConfigError('reference C1 compares every pose with itself; use C2 or more')
     return (match[1], 0) if match[1] else (match[2], int(match[3]))
 
 
@@ -120,11 +122,9 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
         j = j[j % n != 0]
         i = j - j % n
     if len(j) < 2:
-        advice = ('C1 compares every pose with itself; use C2 or more' if (letter, n) == ('C', 1)
-                  else 'use a smaller n or record longer')
         raise MotionError(
             f'reference {reference} leaves {len(j)} motions of {poses} poses, needed at least 2; '
-            f'{advice}')
+            'use a smaller n or record longer')
     return i, j
 
 

@@ -29,8 +29,12 @@ _DOMINATED = 0.5
 # Within this angle of an axis, its name says more than three numbers.
 _NEAR_AXIS = np.cos(np.deg2rad(18.0))
 
-# Turns about one axis move the sensor along it by less than this share of what they do across.
-_SINGLE = 0.5
+# Turns about one axis move the sensor along it by less than this share of what they do across;
+# by less than the smaller share, it hardly turned about another one.
+_SINGLE, _HARDLY_OTHERS = 0.5, 0.05
+
+# Turns about the other axes that correlate by more than this between the sensors are no noise.
+_SHARED = 0.5
 
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
@@ -149,7 +153,7 @@ def observe(
     excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
     gain, axes = translation_gain(R)
     weak_axes = _weak_axes(covariance, config)
-    single = axes[0] if gain[0] < _SINGLE * gain[1] else None
+    single = axes[0] if _is_single(motions, gain, axes[0]) else None
     return Observability(
         _status(by_motion, covariance, config),
         weak_axes,
@@ -196,6 +200,22 @@ def axis_name(axis: FloatArray) -> str:
     if abs(axis[largest]) > _NEAR_AXIS:
         return 'xyz'[largest]
     return f'({", ".join(f"{value:.2f}" for value in axis)})'
+
+
+def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool:
+    """Tell whether turns about one (3,) axis are all that the motion has, but for noise.
+
+    Where both sensors saw the other turns, it is not the motion that lacks them.
+    """
+    if gain[0] >= _SINGLE * gain[1]:
+        return False
+    if gain[0] < _HARDLY_OTHERS * gain[1]:
+        return True
+    turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
+    turn_b = turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T
+    other_a, other_b = (turn - np.outer(turn @ axis, axis) for turn in (turn_a, turn_b))
+    both = float(np.linalg.norm(other_a) * np.linalg.norm(other_b))
+    return bool(np.sum(other_a * other_b) <= _SHARED * both)
 
 
 def _judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
@@ -272,5 +292,6 @@ def _describe(
     if single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
         return (f'{where}: not observed, the vehicle turned about {axis_name(single)} only, as '
                 'far as noise lets it be seen; drive a ramp or a bank')
-    return (f'{where}: not observed, what the two sensors report of it does not stand out of '
-            'their disagreement; turn more, and check units, clocks and jumps')
+    return (f'{where}: not observed, the noise is too large for the motion: what the two sensors '
+            'report of it does not stand out of their disagreement; turn more, and check units, '
+            'clocks and jumps')

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
@@ -21,9 +22,13 @@ from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.synchronisation import Clock
 from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.uncertainty import estimate_uncertainty
+from trajectory_calibration.units import position_doubts, time_doubts
 
 # Beyond this share of poses of b without a partner, the result warns: too much was not used.
 _UNPAIRED_SHARE = 0.1
+
+# With fewer pairs than this, how they came about may be why there is no answer.
+_FEW_PAIRS = 30
 
 
 def calibrate(
@@ -64,29 +69,35 @@ def calibrate(
     solve = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)
     clock, pairs = match(trajectory_a, trajectory_b, config)
-    choice = choose_reference(pairs, config)
-    motions = select_motions(pairs, choice.reference)
-    agreed = pairs, trajectory_a, trajectory_b, config
-    try:
-        solution = solve(motions, config)
-    except SolverError:
-        # What two vehicles did may have no solution, which is then not what is wrong.
-        aligned = None
-        with suppress(MotionError, SolverError):
-            aligned = load_solver('park')(motions, config).T_a_b
-        if aligned is not None:
-            require_agreement(aligned, *agreed)
-        raise
-    require_agreement(solution.T_a_b, *agreed)
-    uncertainty = estimate_uncertainty(solution, motions)
-    if choice.known is not None:
-        uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)
-    T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
-    metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
-    observability = observe(
-        motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
-    if not config.allow_unobserved:
-        require_observed(observability)
+    # A camera without scale may be as fast as it likes: the unit of b is found.
+    doubts = (*time_doubts(trajectory_a), *time_doubts(trajectory_b),
+              *position_doubts(trajectory_a))
+    matched = (*_association_warnings(pairs.summary, trajectory_a, trajectory_b),
+               *_clock_warnings(clock, config.time_offset, trajectory_b))
+    with _recalled((*doubts, *(matched if _matched_little(pairs.summary) else ()))):
+        choice = choose_reference(pairs, config)
+        motions = select_motions(pairs, choice.reference)
+        agreed = pairs, trajectory_a, trajectory_b, config
+        try:
+            solution = solve(motions, config)
+        except SolverError:
+            # What two vehicles did may have no solution, which is then not what is wrong.
+            aligned = None
+            with suppress(MotionError, SolverError):
+                aligned = load_solver('park')(motions, config).T_a_b
+            if aligned is not None:
+                require_agreement(aligned, *agreed)
+            raise
+        require_agreement(solution.T_a_b, *agreed)
+        uncertainty = estimate_uncertainty(solution, motions)
+        if choice.known is not None:
+            uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)
+        T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
+        metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
+        observability = observe(
+            motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
+        if not config.allow_unobserved:
+            require_observed(observability)
     return CalibrationResult(
         frame_a=trajectory_a.sensor_frame,
         frame_b=trajectory_b.sensor_frame,
@@ -110,8 +121,8 @@ def calibrate(
         warnings=(
             *trajectory_a.warnings,
             *trajectory_b.warnings,
-            *_association_warnings(pairs.summary, trajectory_a, trajectory_b),
-            *_clock_warnings(clock, config.time_offset, trajectory_b),
+            *doubts,
+            *matched,
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.warnings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
@@ -119,6 +130,24 @@ def calibrate(
             *observability.warnings,
         ),
     )
+
+
+@contextmanager
+def _recalled(found: Sequence[str]) -> Iterator[None]:
+    """Add what was found of the input to an error that it may explain."""
+    try:
+        yield
+    except (MotionError, SolverError) as error:
+        if found:
+            error.args = (f'{error}; found before: {"; ".join(found)}',)
+        raise
+
+
+def _matched_little(summary: AssociationSummary) -> bool:
+    """Tell whether the pairs are few, or much was left without a partner."""
+    count = summary.poses_b if summary.stamps_of == 'b' else summary.poses_a
+    unpaired = max(summary.in_gaps, summary.outside) / count
+    return summary.pairs < _FEW_PAIRS or unpaired > _UNPAIRED_SHARE
 
 
 def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:

@@ -19,6 +19,7 @@ expected loss).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +29,12 @@ from trajectory_calibration.association import PosePairs
 from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.excitation import thinned
-from trajectory_calibration.motions import AUTOMATIC, parse_reference, select_motions
+from trajectory_calibration.motions import (
+    AUTOMATIC,
+    parse_reference,
+    reference_indices,
+    select_motions,
+)
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.solvers import load_solver, WITHOUT_REFERENCE
 from trajectory_calibration.uncertainty import estimate_uncertainty, Uncertainty
@@ -95,7 +101,7 @@ class ReferenceChoice:
     Attributes
     ----------
     reference : 'B6', ...
-    explanation : a sentence, or empty where the reference was given.
+    explanation : a sentence, or empty where the reference was given and taken.
     known : what the data say of the extrinsic, where it was chosen by that.
 
     """
@@ -107,9 +113,13 @@ class ReferenceChoice:
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
     """Return the reference of the configuration, or for ``auto`` the best by expectation."""
-    if config.reference != AUTOMATIC:
-        return ReferenceChoice(config.reference)
     usual = f'B{max(1, min(_USUAL, (len(pairs) - 1) // 2))}'
+    if config.reference != AUTOMATIC:
+        if config.solver in WITHOUT_REFERENCE and not _fits(config.reference, len(pairs)):
+            return ReferenceChoice(usual, (
+                f'{config.solver} needs no reference; {usual} for the relative error, because '
+                f'{config.reference} is too long for {len(pairs)} poses'))
+        return ReferenceChoice(config.reference)
     if config.solver in WITHOUT_REFERENCE:
         return ReferenceChoice(usual, f'{config.solver} needs no reference')
     try:
@@ -133,6 +143,14 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
         return ReferenceChoice(usual)
     best = min(expected, key=lambda name: expected[name])
     return ReferenceChoice(best, _explanation(best, expected), known)
+
+
+def _fits(reference: str, poses: int) -> bool:
+    """Tell whether so many poses make motions with a reference."""
+    with suppress(MotionError):
+        reference_indices(reference, poses)
+        return True
+    return False
 
 
 def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:

@@ -11,6 +11,7 @@ from trajectory_calibration import se3
 from trajectory_calibration.observability import axis_name, translation_gain
 from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.trajectory import Trajectory
+from trajectory_calibration.units import position_doubts, time_doubts
 
 # Motions are taken over this time, about that of a turn at a crossing; longer ones let a SLAM
 # drift, shorter ones drown in its noise.
@@ -44,7 +45,7 @@ class Inspection:
     turned_deg : root mean square rotation about x, y, z of the sensor in two seconds, degrees.
     motion : 'sufficient', 'weak' or 'insufficient' for a calibration.
     advice : the same in words, and what to drive.
-    warnings : what was repaired or left out.
+    warnings : what was repaired or left out, and questions about its units.
 
     """
 
@@ -93,7 +94,8 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspecti
         turned_deg=tuple(np.rad2deg(turned).tolist()),
         motion=motion,
         advice=advice,
-        warnings=trajectory.warnings,
+        warnings=(*trajectory.warnings, *time_doubts(trajectory),
+                  *position_doubts(trajectory)),
     )
 
 

@@ -48,7 +48,7 @@ def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = Non
         f'{_named(result.observability.excitation_deg, "xyz", 2)} deg rms per motion, axes of {a}')
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
-        rows['scale'] = f'{result.scale:.5f} on the translations of {b}'
+        rows['scale'] = f'{_describe_scale(result)} on the translations of {b}'
     if result.time_offset_s:
         rows['time offset'] = f'{_fixed(result.time_offset_s, 4)} s on {b}'
     if result.clock_drift:
@@ -119,6 +119,14 @@ def _describe_status(observability: Observability) -> str:
         return 'all six directions'
     rest = '; '.join(f'{status}: {", ".join(names)}' for status, names in by_status.items())
     return f'{", ".join(observed) or "none"}; {rest}'
+
+
+def _describe_scale(result: CalibrationResult) -> str:
+    """Return the scale to six digits, also in another unit, and its deviation if it has one."""
+    deviation = (result.diagnosis or {}).get('scale_deviation')
+    # That of what was found on top of the setting.
+    known = '' if deviation is None else f' +- {result.config.scale * deviation:#.2g}'
+    return f'{result.scale:#.6g}{known}'
 
 
 def _describe_data(result: CalibrationResult) -> str:

@@ -50,7 +50,7 @@ class BagSource:
 
     Attributes
     ----------
-    bags : bag folders or files, all of ROS 1 or all of ROS 2.
+    bags : bag folders or files, of ROS 1, of ROS 2, or some of each.
     topic : of type Odometry, PoseStamped, PoseWithCovarianceStamped or Path.
     sensor_frame, world_frame : names that override those of the messages.
 

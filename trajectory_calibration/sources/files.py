@@ -39,6 +39,10 @@ _COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
 _PRINTABLE = re.compile(rb'[\t\v\f -~]*')
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag')
 _INT64_MAX = 2**63 - 1
+# Units of times that are too large for seconds: since 1970 in the last three, since the start of
+# the drive in the first.
+_EPOCHS = ((1e11, 'nanoseconds', '1e9'), (1e14, 'milliseconds', '1000'),
+           (1e17, 'microseconds', '1e6'), (np.inf, 'nanoseconds', '1e9'))
 # How files of gzip, zip, bzip2, xz and zstd begin.
 _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 
@@ -355,7 +359,10 @@ def _seconds_to_ns(field: bytes) -> int:
     """Return exact integer nanoseconds of seconds in decimal; a float would lose 100 ns."""
     stamp_ns = round(Decimal(field.decode('ascii')).scaleb(9))
     if abs(stamp_ns) > _INT64_MAX:
-        raise ValueError('is out of range, needed seconds; are these nanoseconds?')
+        size = abs(stamp_ns) // 10**9
+        unit, divisor = next(item[1:] for item in _EPOCHS if size < item[0])
+        raise ValueError(f'is out of range, needed seconds; are these {unit}? Then divide them by '
+                         f'{divisor}')
     return stamp_ns
 
 
