@@ -579,6 +579,21 @@ def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
 
 
+def test_on_flat_ground_it_calibrates_unasked_once_the_height_is_given(tmp_path):
+    arguments = ('-p', 'auto_calibrate:=true', '-p', 'max_time_offset:=0.0')
+    with ros.running(tmp_path, *arguments) as (_, client):
+        extrinsic = client.latched()
+        client.publish_drive(*ros.drive(poses=300, planar=True))
+        client.wait(lambda: (client.value('calibration', 'advice') or '').startswith(
+            'drive a ramp or a bank, or give prior_translation along z of lidar'), 'the advice')
+        assert not extrinsic
+        assert client.set_parameter('prior_translation_std', '0.005').successful
+        height = f'-,-,{ros.T_A_B[2, 3]}'
+        assert client.set_parameter('prior_translation', height).successful
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-4)
+
+
 def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     arguments = ('-p', f'result_directory:={tmp_path}/new/results', '-p', 'restore:=true')
     with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):

@@ -262,7 +262,7 @@ class CalibrationNode(Node):
                     else values['time_offset'])
         return self._excitation.update(
             self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
-            round(values['max_gap'] * 1e9)), offset_s
+            round(values['max_gap'] * 1e9), to_config(values)), offset_s
 
     def _clock_offset(self) -> str:
         """Return the clock offset that a calibration since the last reset found, or ''."""
