@@ -215,6 +215,15 @@ def test_frames_that_change_all_the_time_are_not_believed():
     assert (len(buffer), buffer.refused[Refusal.OTHER_FRAME]) == (100, 300)
 
 
+def test_a_stray_stamp_in_other_frames_does_not_come_along():
+    buffer = filled(100)
+    for k in range(30):
+        if k == 5:
+            buffer.append(7, ('map2', 'lidar'), along_x(0.5))
+        buffer.append(200 * SECOND + k * SECOND // 10, ('map2', 'lidar'), along_x(0.1 * k))
+    assert buffer.span_ns == (200 * SECOND + SECOND // 2, 202 * SECOND + 9 * SECOND // 10)
+
+
 def test_other_frames_are_believed_at_any_time_and_in_spite_of_repeated_stamps():
     buffer = filled(100)
     for k in range(21):

@@ -325,7 +325,8 @@ class PoseBuffer:
         step = stamp_ns - self._strangers[-1][0] if self._strangers else 1
         if -JUMP_NS <= step <= 0:
             return
-        if step < 0:
+        # Of two poses so far apart, one has a wrong stamp: the later one decides which.
+        if abs(step) > JUMP_NS:
             self._strangers.clear()
         self._strangers.append((stamp_ns, pose))
         if not self._is_confirmed(self._strangers):

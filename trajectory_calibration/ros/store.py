@@ -102,7 +102,14 @@ class ResultStore:
                 f'{self._folder} cannot be read: {error.strerror}; put it back, or start the node '
                 'with another result_directory') from error
         found = ((pattern.fullmatch(path.name), path) for path in paths)
-        return [(int(match[1]), path) for match, path in found if match and os.path.isfile(path)]
+        return [(int(match[1]), path) for match, path in found if match and _is_file(path)]
+
+
+def _is_file(path: Path) -> bool:
+    # The permissions of the folder may have changed.
+    with suppress(OSError):
+        return path.is_file()
+    return False
 
 
 def _load(path: Path) -> CalibrationResult | ResultError:
