@@ -3,6 +3,7 @@
 import importlib.util
 import signal
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -664,6 +665,18 @@ def test_signals_end_the_node_cleanly(tmp_path, number):
             status, seconds = node.stop(number)
         assert (status, 'Traceback' in node.log) == (0, False), node.log
         assert seconds < 1.0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signals_that_go_on_change_nothing(tmp_path, number):
+    with ros.running(tmp_path) as (node, client):
+        client.wait(lambda: client.status('calibration') is not None, 'the node')
+        # Through all of the end, of which Python's own is the last part.
+        deadline_s = time.monotonic() + ros.LIMIT_S
+        while node.process.poll() is None and time.monotonic() < deadline_s:
+            node.process.send_signal(number)
+            time.sleep(0.005)
+    assert (node.process.returncode, 'Traceback' in node.log) == (0, False), node.log
 
 
 def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_path):
