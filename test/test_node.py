@@ -170,6 +170,47 @@ def test_simulated_time_stamps_the_answer_and_stops_nothing(tmp_path):
     assert np.allclose(ros.matrix(extrinsic[-1]), ros.T_A_B, atol=1e-10)
 
 
+@pytest.mark.parametrize('second', [-5, -2**31])
+def test_a_negative_time_is_logged_and_the_next_one_taken(tmp_path, second):
+    with ros.running(tmp_path, '-p', 'use_sim_time:=true') as (node, client):
+        clock = client.node.create_publisher(ros.Clock, '/clock', 10)
+        client.wait(lambda: clock.get_subscription_count() > 0, 'the node on /clock')
+        times = []
+        client.node.create_subscription(
+            ros.DiagnosticArray, '/diagnostics',
+            lambda message: times.append(message.header.stamp.sec), 10)
+        message = ros.Clock()
+
+        def logged():
+            message.clock.sec = second
+            clock.publish(message)
+            return '/clock ignored: Seconds value must not be negative' in node.log
+
+        def taken():
+            message.clock.sec = 1234
+            clock.publish(message)
+            return 1234 in times
+        client.wait(logged, 'the warning')
+        client.wait(taken, 'the time')
+        assert node.log.count('/clock ignored') == 1
+
+
+def test_several_publishers_on_one_topic_are_a_warning_and_a_question(tmp_path):
+    with ros.running(tmp_path) as (_, client):
+        publishers = [client.publisher('trajectory_a') for _ in range(2)]
+        stamps_ns, poses, _ = ros.drive(poses=30)
+        for k, (stamp, pose) in enumerate(zip(stamps_ns, poses, strict=True)):
+            publishers[k % 2].publish(ros.to_message('Odometry', stamp, pose))
+        name = f'{client.namespace}/client'
+        question = f'from 2 publishers ({name}, {name}): are they the same sensor'
+        client.wait(lambda: client.status('trajectory_a') is not None, 'the diagnostics')
+        client.wait(lambda: question in client.status('trajectory_a').message, 'the question')
+        assert client.status('trajectory_a').level == b'\x01'
+        client.node.destroy_publisher(publishers.pop())
+        client.wait(lambda: 'publishers' not in client.status('trajectory_a').message, 'one')
+        assert client.status('trajectory_a').level == b'\x00'
+
+
 def test_reset_starts_a_new_collection(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive()
@@ -627,6 +668,10 @@ def refused(folder, arguments, domain=1):
     (('-p', 'frame_a:=[]'), 'if one is an empty list, correct it'),
     (('-p', b'frame_a:=\xff'), "can't encode character"),
     (('-p', 'use_sim_timer:=true'), "parameter 'use_sim_timer' is unknown"),
+    (('-p', 'use_sim_time:=5'), 'use_sim_time is 5, needed true or false'),
+    (('-p', 'use_sim_time:=maybe'), "use_sim_time is 'maybe', needed true or false"),
+    (('-p', 'start_type_description_service:=maybe'),
+     "start_type_description_service is 'maybe', needed true or false"),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
 ])
 def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(

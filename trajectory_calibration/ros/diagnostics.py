@@ -119,6 +119,8 @@ class InputMonitor:
                 f'{topic.text}: no pose taken for {now_s - self._useless_since_s:.0f} s: {why}')
         if self._buffer.forgotten and now_s - self._lost_s < _RECENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
+        if topic.doubt:
+            return DiagnosticStatus.WARN, f'{topic.text}: {self.rate_hz:.1f} Hz from {topic.doubt}'
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 
