@@ -53,8 +53,10 @@ def followed(stamps_ns, a, b, chunk=10, config=None):
     return excitation
 
 
-@pytest.mark.parametrize('solver', ['taylor', 'dnl', 'ali', 'drift_aware'])
-def test_the_prediction_bounds_the_errors_and_is_not_far_above_them(solver):
+# In white noise drift_aware gains from every lag what motions of a second cannot show.
+@pytest.mark.parametrize('solver, least', [
+    ('taylor', 0.1), ('dnl', 0.1), ('ali', 0.1), ('drift_aware', 0.03)])
+def test_the_prediction_bounds_the_errors_and_is_not_far_above_them(solver, least):
     normalised = []
     config = CalibrationConfig(solver=solver, reference='B1', max_gap=2.0, max_time_offset=0)
     for seed in range(20):
@@ -69,7 +71,7 @@ def test_the_prediction_bounds_the_errors_and_is_not_far_above_them(solver):
                            np.mean((np.rad2deg(rotation) / excitation.rotation_std_deg)**2)])
     # Neighbouring motions share a pose, which makes sums of them better than independent ones.
     assert (np.mean(normalised, axis=0) < 1.3).all()
-    assert (np.mean(normalised, axis=0) > 0.1).all()
+    assert (np.mean(normalised, axis=0) > least).all()
 
 
 @pytest.mark.parametrize('chunk', [1, 7, 1000])
@@ -143,6 +145,27 @@ def test_flat_ground_is_enough_with_a_known_height_or_where_none_is_asked_for(se
     assert 0.1 < np.mean(np.array(normalised)[:, asked]) < 1.5
     if settings == HEIGHT:
         assert std[2] == pytest.approx(0.005, rel=0.01)
+
+
+def test_the_first_moment_of_enough_is_not_one_of_luck():
+    config = CalibrationConfig(solver='dnl', reference='B10', max_time_offset=0, **HEIGHT)
+    normalised = []
+    for seed in range(16):
+        stamps_ns, a, b = flat_drive(600, seed, walk=(0.003, 0.0005))
+        buffers = PoseBuffer(BufferLimits()), PoseBuffer(BufferLimits())
+        monitor = ExcitationMonitor()
+        for k in range(0, 600, 10):
+            fill(buffers[0], stamps_ns[k:k + 10], a[k:k + 10])
+            fill(buffers[1], stamps_ns[k:k + 10], b[k:k + 10])
+            excitation = monitor.update(*buffers, 0, GAP_NS, config)
+            if excitation.sufficient(0.02, 0.2):
+                break
+        assert excitation.sufficient(0.02, 0.2)
+        result = calibrate(Trajectory(stamps_ns[:k + 10], a[:k + 10]),
+                           Trajectory(stamps_ns[:k + 10], b[:k + 10]), config)
+        std = np.concatenate([excitation.translation_std, excitation.rotation_std_deg])
+        normalised.append((error_of(result) / std)[[0, 1, 3, 4, 5]])
+    assert np.sqrt(np.mean(np.square(normalised))) < 1.0
 
 
 def test_flat_ground_predicts_the_rest_whatever_it_does_not_show():

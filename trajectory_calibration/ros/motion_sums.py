@@ -40,6 +40,8 @@ _SETTLED = 1e-9
 
 # Products of noises add up to no more than so many standard deviations of their sum.
 _SIGNIFICANT = 4.0
+# A sum of squares is taken for so many of its standard deviations more.
+_LUCK = 2.0
 # Of a sum of squares, and of its largest eigenvalue: nothing but rounding.
 _ROUNDING = 1e-13
 _UNSEEN = 1e-12
@@ -61,7 +63,8 @@ class _Fit:
     Attributes
     ----------
     R : (3, 3), t : (3,) metres, scale : of b.
-    rotation, translation : mean squares of one component of r_R and of r_t, rad^2 and m^2.
+    rotation, translation : mean squares of one component of r_R and of r_t, rad^2 and m^2,
+        rather too large than too small.
 
     """
 
@@ -172,6 +175,9 @@ class MotionSums:
                        - 2 * scale * (t @ along + t_a_m))
         rotation = self._rotation_energy - 2 * float(np.sum(R * self._phi_a_phi_b))
         freedom = 3 * max(self.motions, 3) - 4
+        # What the squares of a few motions add up to may be luck, and whoever waits for enough
+        # motion meets that.
+        freedom = freedom / (1 + _LUCK * np.sqrt(2 / freedom))
         return _Fit(
             R, t, scale,
             max(rotation, _ROUNDING * self._rotation_energy) / freedom + _FLOOR,
