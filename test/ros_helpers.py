@@ -39,9 +39,10 @@ from visualization_msgs.msg import MarkerArray
 from trajectory_calibration import se3
 
 __all__ = [
-    'Client', 'Clock', 'DescribeParameters', 'Future', 'GetParameters', 'ListParameters',
-    'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'connected', 'drive', 'matrix',
-    'parameter_value_to_python', 'running', 'serialize_message', 'to_message', 'to_path',
+    'Client', 'Clock', 'DescribeParameters', 'DiagnosticArray', 'Future', 'GetParameters',
+    'ListParameters', 'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'connected',
+    'drive', 'matrix', 'parameter_value_to_python', 'running', 'serialize_message', 'to_message',
+    'to_path',
 ]
 
 LIMIT_S = 30.0

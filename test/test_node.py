@@ -3,6 +3,7 @@
 import importlib.util
 import signal
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -167,6 +168,47 @@ def test_simulated_time_stamps_the_answer_and_stops_nothing(tmp_path):
 
         client.wait(stamped, 'an answer at the time of /clock')
     assert np.allclose(ros.matrix(extrinsic[-1]), ros.T_A_B, atol=1e-10)
+
+
+@pytest.mark.parametrize('second', [-5, -2**31])
+def test_a_negative_time_is_logged_and_the_next_one_taken(tmp_path, second):
+    with ros.running(tmp_path, '-p', 'use_sim_time:=true') as (node, client):
+        clock = client.node.create_publisher(ros.Clock, '/clock', 10)
+        client.wait(lambda: clock.get_subscription_count() > 0, 'the node on /clock')
+        times = []
+        client.node.create_subscription(
+            ros.DiagnosticArray, '/diagnostics',
+            lambda message: times.append(message.header.stamp.sec), 10)
+        message = ros.Clock()
+
+        def logged():
+            message.clock.sec = second
+            clock.publish(message)
+            return '/clock ignored: Seconds value must not be negative' in node.log
+
+        def taken():
+            message.clock.sec = 1234
+            clock.publish(message)
+            return 1234 in times
+        client.wait(logged, 'the warning')
+        client.wait(taken, 'the time')
+        assert node.log.count('/clock ignored') == 1
+
+
+def test_several_publishers_on_one_topic_are_a_warning_and_a_question(tmp_path):
+    with ros.running(tmp_path) as (_, client):
+        publishers = [client.publisher('trajectory_a') for _ in range(2)]
+        stamps_ns, poses, _ = ros.drive(poses=30)
+        for k, (stamp, pose) in enumerate(zip(stamps_ns, poses, strict=True)):
+            publishers[k % 2].publish(ros.to_message('Odometry', stamp, pose))
+        name = f'{client.namespace}/client'
+        question = f'from 2 publishers ({name}, {name}): are they the same sensor'
+        client.wait(lambda: client.status('trajectory_a') is not None, 'the diagnostics')
+        client.wait(lambda: question in client.status('trajectory_a').message, 'the question')
+        assert client.status('trajectory_a').level == b'\x01'
+        client.node.destroy_publisher(publishers.pop())
+        client.wait(lambda: 'publishers' not in client.status('trajectory_a').message, 'one')
+        assert client.status('trajectory_a').level == b'\x00'
 
 
 def test_reset_starts_a_new_collection(tmp_path):
@@ -579,6 +621,21 @@ def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
 
 
+def test_on_flat_ground_it_calibrates_unasked_once_the_height_is_given(tmp_path):
+    arguments = ('-p', 'auto_calibrate:=true', '-p', 'max_time_offset:=0.0')
+    with ros.running(tmp_path, *arguments) as (_, client):
+        extrinsic = client.latched()
+        client.publish_drive(*ros.drive(poses=300, planar=True))
+        client.wait(lambda: (client.value('calibration', 'advice') or '').startswith(
+            'drive a ramp or a bank, or give prior_translation along z of lidar'), 'the advice')
+        assert not extrinsic
+        assert client.set_parameter('prior_translation_std', '0.005').successful
+        height = f'-,-,{ros.T_A_B[2, 3]}'
+        assert client.set_parameter('prior_translation', height).successful
+        client.wait(lambda: extrinsic, 'the extrinsic')
+    assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-4)
+
+
 def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     arguments = ('-p', f'result_directory:={tmp_path}/new/results', '-p', 'restore:=true')
     with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):
@@ -611,6 +668,10 @@ def refused(folder, arguments, domain=1):
     (('-p', 'frame_a:=[]'), 'if one is an empty list, correct it'),
     (('-p', b'frame_a:=\xff'), "can't encode character"),
     (('-p', 'use_sim_timer:=true'), "parameter 'use_sim_timer' is unknown"),
+    (('-p', 'use_sim_time:=5'), 'use_sim_time is 5, needed true or false'),
+    (('-p', 'use_sim_time:=maybe'), "use_sim_time is 'maybe', needed true or false"),
+    (('-p', 'start_type_description_service:=maybe'),
+     "start_type_description_service is 'maybe', needed true or false"),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
 ])
 def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
@@ -649,6 +710,18 @@ def test_signals_end_the_node_cleanly(tmp_path, number):
             status, seconds = node.stop(number)
         assert (status, 'Traceback' in node.log) == (0, False), node.log
         assert seconds < 1.0
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_signals_that_go_on_change_nothing(tmp_path, number):
+    with ros.running(tmp_path) as (node, client):
+        client.wait(lambda: client.status('calibration') is not None, 'the node')
+        # Through all of the end, of which Python's own is the last part.
+        deadline_s = time.monotonic() + ros.LIMIT_S
+        while node.process.poll() is None and time.monotonic() < deadline_s:
+            node.process.send_signal(number)
+            time.sleep(0.005)
+    assert (node.process.returncode, 'Traceback' in node.log) == (0, False), node.log
 
 
 def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_path):

@@ -173,6 +173,66 @@ def test_other_frames_are_refused_once_some_are_held():
     assert buffer.refused[Refusal.OTHER_FRAME] == 2
 
 
+@pytest.mark.parametrize('frames', [('map2', 'lidar'), ('map', 'lidar2')])
+def test_other_frames_that_go_on_start_the_buffer_anew_without_losing_a_pose(frames):
+    buffer = filled(100)
+    newest, generation = buffer.span_ns[1], buffer.generation
+    for k in range(1, 21):
+        buffer.append(newest + k * SECOND // 10, frames, along_x(0.1 * k))
+        # Ten intervals of a tenth of a second are a second.
+        assert buffer.frames == (('map', 'lidar') if k < 11 else frames)
+        assert buffer.refused[Refusal.OTHER_FRAME] == (k if k < 11 else 0)
+    assert (buffer.frame_changes, buffer.forgotten, buffer.clock_jumps) == (1, 100, 0)
+    assert buffer.frames_before == ('map', 'lidar')
+    assert buffer.generation != generation
+    assert buffer.snapshot('a').stamps_ns.tolist() == [
+        newest + k * SECOND // 10 for k in range(1, 21)]
+
+
+def test_wrong_frames_at_the_start_do_not_lock_out_the_drive():
+    buffer = PoseBuffer(BufferLimits())
+    for k in range(100):
+        frames = ('', '') if k < 3 else ('map', 'lidar')
+        buffer.append(100 * SECOND + k * SECOND // 10, frames, along_x(0.1 * k))
+    assert (len(buffer), buffer.frames) == (97, ('map', 'lidar'))
+
+
+def test_other_frames_among_the_old_ones_are_refused_however_many():
+    buffer = filled(100)
+    newest = buffer.span_ns[1]
+    for k in range(1, 301):
+        frames = ('map', 'lidar') if k % 10 == 0 else ('map2', 'lidar')
+        buffer.append(newest + k * SECOND // 10, frames, along_x(0.1 * k))
+    assert (len(buffer), buffer.frames, buffer.forgotten) == (130, ('map', 'lidar'), 0)
+    assert buffer.refused[Refusal.OTHER_FRAME] == 270
+
+
+def test_frames_that_change_all_the_time_are_not_believed():
+    buffer = filled(100)
+    newest = buffer.span_ns[1]
+    for k in range(1, 301):
+        buffer.append(newest + k * SECOND // 10, (f'map{k % 2}', 'lidar'), along_x(0.1 * k))
+    assert (len(buffer), buffer.refused[Refusal.OTHER_FRAME]) == (100, 300)
+
+
+def test_a_stray_stamp_in_other_frames_does_not_come_along():
+    buffer = filled(100)
+    for k in range(30):
+        if k == 5:
+            buffer.append(7, ('map2', 'lidar'), along_x(0.5))
+        buffer.append(200 * SECOND + k * SECOND // 10, ('map2', 'lidar'), along_x(0.1 * k))
+    assert buffer.span_ns == (200 * SECOND + SECOND // 2, 202 * SECOND + 9 * SECOND // 10)
+
+
+def test_other_frames_are_believed_at_any_time_and_in_spite_of_repeated_stamps():
+    buffer = filled(100)
+    for k in range(21):
+        for _ in range(2):
+            buffer.append(SECOND + k * SECOND // 10, ('map2', 'lidar'), along_x(0.1 * k))
+    assert (len(buffer), buffer.clock_jumps, buffer.forgotten) == (21, 0, 100)
+    assert buffer.refused[Refusal.OTHER_FRAME] + buffer.refused[Refusal.DUPLICATE] == 21
+
+
 def test_an_hour_of_standing_still_costs_nothing_and_keeps_the_motion_before_and_after():
     buffer = filled(50)
     stop_ns = buffer.span_ns[1]
@@ -296,13 +356,13 @@ def test_headers_without_stamps_are_named():
 
 def test_a_failure_ends_with_what_was_refused():
     session = CalibrationSession('/a', '/b', BufferLimits())
-    for buffer, start_s, frames in (
-            (session.buffer_a, 1, ('map', 'lidar')), (session.buffer_b, 101, ('map', 'camera')),
-            (session.buffer_b, 1, ('other', 'camera'))):
+    for buffer, start_s, frame, speed in (
+            (session.buffer_a, 1, 'lidar', 1.0), (session.buffer_b, 101, 'camera', 1.0),
+            (session.buffer_b, 1, 'camera', np.nan)):
         for k in range(20):
-            buffer.append((start_s + k) * SECOND, frames, along_x(k))
+            buffer.append((start_s + k) * SECOND, ('map', frame), along_x(speed * k))
     job = session.job(CalibrationConfig())
-    with pytest.raises(AssociationError, match=r'; camera: 20 poses refused \(20 other frame\)$'):
+    with pytest.raises(AssociationError, match=r'; camera: 20 poses refused \(20 not finite\)$'):
         job.run()
 
 

@@ -1,5 +1,7 @@
 """What the diagnostics say of an input, second by second."""
 
+import math
+
 import pytest
 
 from trajectory_calibration.ros.buffer import BufferLimits, PoseBuffer
@@ -42,9 +44,9 @@ def test_poses_that_are_all_refused_are_a_warning_until_one_is_taken():
     assert a.receive(10) == (OK, 'Odometry on /a: 10.0 Hz')
     # What replaces the newest pose of a standstill is taken.
     assert a.receive(20, speed=0.0)[0] == OK
-    assert a.receive(3, frame='map2')[0] == OK
-    assert a.receive(10, frame='map2') == (
-        WARN, 'Odometry on /a: no pose taken for 12 s: 130 poses refused (130 other frame)')
+    assert a.receive(3, speed=math.nan)[0] == OK
+    assert a.receive(10, speed=math.nan) == (
+        WARN, 'Odometry on /a: no pose taken for 12 s: 130 poses refused (130 not finite)')
     # After the pause a new clock goes on for a second before it is believed.
     assert a.receive(2)[0] == OK
 
@@ -61,6 +63,19 @@ def test_a_clock_that_went_back_is_said_once_and_a_warning_for_a_minute():
     assert a.receive(5)[0] == WARN
     a.buffer.clear()
     assert a.receive(1)[0] == OK
+
+
+def test_other_frames_are_said_once_with_their_names_and_a_warning_for_a_minute():
+    a = Input()
+    a.receive(20, frame='')
+    level, message = a.receive(30, frame='map2')
+    assert level == WARN
+    assert message == (
+        'Odometry on /a: its frames changed from none and lidar to map2 and lidar, 200 poses were '
+        'forgotten; unless its sender began anew, see that one sensor alone publishes on the '
+        'topic')
+    assert [loss for loss in a.losses if loss] == [message.removeprefix('Odometry on /a: ')]
+    assert a.receive(40, frame='map2') == (OK, 'Odometry on /a: 10.0 Hz')
 
 
 def test_as_many_messages_after_a_reset_as_before_are_no_silence():

@@ -41,7 +41,7 @@ def fill(buffer, stamps_ns, poses, frames=('map', 'lidar')):
         buffer.append(stamp, frames, tuple(row))
 
 
-def followed(stamps_ns, a, b, chunk=10):
+def followed(stamps_ns, a, b, chunk=10, config=None):
     """Return the excitation after the drive arrived in chunks."""
     buffers = PoseBuffer(BufferLimits()), PoseBuffer(BufferLimits())
     monitor = ExcitationMonitor()
@@ -49,26 +49,29 @@ def followed(stamps_ns, a, b, chunk=10):
         part = slice(k, k + chunk)
         fill(buffers[0], stamps_ns[part], a[part])
         fill(buffers[1], stamps_ns[part], b[part])
-        excitation = monitor.update(*buffers, 0, GAP_NS)
+        excitation = monitor.update(*buffers, 0, GAP_NS, config)
     return excitation
 
 
-def test_the_prediction_bounds_the_errors_and_is_not_far_above_them():
+# In white noise drift_aware gains from every lag what motions of a second cannot show.
+@pytest.mark.parametrize('solver, least', [
+    ('taylor', 0.1), ('dnl', 0.1), ('ali', 0.1), ('drift_aware', 0.03)])
+def test_the_prediction_bounds_the_errors_and_is_not_far_above_them(solver, least):
     normalised = []
+    config = CalibrationConfig(solver=solver, reference='B1', max_gap=2.0, max_time_offset=0)
     for seed in range(20):
         stamps_ns, a, b = drive(900, (0, 1, 2), seed)
-        excitation = followed(stamps_ns, a, b)
+        excitation = followed(stamps_ns, a, b, chunk=900, config=config)
         # The same motions, one of a second after the other.
         result = calibrate(
-            Trajectory(stamps_ns[::10], a[::10]), Trajectory(stamps_ns[::10], b[::10]),
-            CalibrationConfig(solver='taylor', reference='B1', max_gap=2.0))
+            Trajectory(stamps_ns[::10], a[::10]), Trajectory(stamps_ns[::10], b[::10]), config)
         t = result.T_a_b[:3, 3] - T_A_B[:3, 3]
         rotation = se3.log_so3(result.T_a_b[:3, :3] @ T_A_B[:3, :3].T)
         normalised.append([np.mean((t / excitation.translation_std)**2),
                            np.mean((np.rad2deg(rotation) / excitation.rotation_std_deg)**2)])
     # Neighbouring motions share a pose, which makes sums of them better than independent ones.
     assert (np.mean(normalised, axis=0) < 1.3).all()
-    assert (np.mean(normalised, axis=0) > 0.1).all()
+    assert (np.mean(normalised, axis=0) > least).all()
 
 
 @pytest.mark.parametrize('chunk', [1, 7, 1000])
@@ -86,8 +89,131 @@ def test_planar_motion_is_not_enough_however_long(noise):
     advice = excitation.advice('lidar', 0.02, 0.2)
     assert not excitation.sufficient(0.02, 0.2)
     assert excitation.translation_std[2] > 0.5
-    assert advice.startswith(('turn more about x of lidar', 'turn more about y of lidar'))
-    assert 'z' in advice
+    assert advice == (
+        'drive a ramp or a bank, or give prior_translation along z of lidar: translation along z '
+        'is not determined, needed 0.02 m')
+
+
+def flat_drive(poses, seed, *, speed=1.0, scale=1.0, walk=(0.001, 0.0003), white=(0.0, 0.0)):
+    """Return stamps at 10 Hz and both sensors on flat ground, each with drift and white noise."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(poses) * 0.1
+    twists = np.zeros((poses, 6))
+    twists[:, 0] = 0.1 * speed
+    twists[:, 5] = 0.06 * np.sin(0.7 * time_s + rng.uniform(0, 6))
+    steps = se3.exp_se3(twists)
+    tracks = []
+    for own in (steps, se3.inverse(T_A_B) @ steps @ T_A_B):
+        noise = [rng.normal(size=(poses, 6)) * np.repeat(size, 3) for size in (walk, white)]
+        track = np.empty_like(steps)
+        track[0] = np.eye(4)
+        for k, step in enumerate((own @ se3.exp_se3(noise[0]))[1:]):
+            track[k + 1] = track[k] @ step
+        track = track @ se3.exp_se3(noise[1])
+        track[:, :3, :3] = se3.nearest_rotation(track[:, :3, :3])
+        tracks.append(track)
+    tracks[1][:, :3, 3] /= scale
+    return 1000 * 10**9 + np.arange(poses) * 10**8, *tracks
+
+
+def error_of(result):
+    """Return (6,) errors of an answer, metres and degrees."""
+    return np.concatenate([
+        result.T_a_b[:3, 3] - T_A_B[:3, 3],
+        np.rad2deg(se3.log_so3(result.T_a_b[:3, :3] @ T_A_B[:3, :3].T))])
+
+
+HEIGHT = {'prior_translation': f'-,-,{T_A_B[2, 3]}', 'prior_translation_std': '0.005'}
+
+
+@pytest.mark.parametrize('settings', [HEIGHT, {'allow_unobserved': True}])
+def test_flat_ground_is_enough_with_a_known_height_or_where_none_is_asked_for(settings):
+    config = CalibrationConfig(max_time_offset=0, **settings)
+    normalised = []
+    for seed in range(5):
+        stamps_ns, a, b = flat_drive(1200, seed)
+        excitation = followed(stamps_ns, a, b, chunk=1200, config=config)
+        assert excitation.sufficient(0.02, 0.2)
+        left_out = '' if settings == HEIGHT else '; translation along z of lidar stays open'
+        advice = excitation.advice('lidar', 0.02, 0.2)
+        assert advice == f'enough motion: call ~/calibrate{left_out}'
+        std = np.concatenate([excitation.translation_std, excitation.rotation_std_deg])
+        error = error_of(calibrate(Trajectory(stamps_ns, a), Trajectory(stamps_ns, b), config))
+        normalised.append((error / std)**2)
+    asked = np.array([0, 1, 3, 4, 5])
+    # The answer may weigh several lags, and is then better than motions of a second.
+    assert 0.1 < np.mean(np.array(normalised)[:, asked]) < 1.5
+    if settings == HEIGHT:
+        assert std[2] == pytest.approx(0.005, rel=0.01)
+
+
+def test_the_first_moment_of_enough_is_not_one_of_luck():
+    config = CalibrationConfig(solver='dnl', reference='B10', max_time_offset=0, **HEIGHT)
+    normalised = []
+    for seed in range(16):
+        stamps_ns, a, b = flat_drive(600, seed, walk=(0.003, 0.0005))
+        buffers = PoseBuffer(BufferLimits()), PoseBuffer(BufferLimits())
+        monitor = ExcitationMonitor()
+        for k in range(0, 600, 10):
+            fill(buffers[0], stamps_ns[k:k + 10], a[k:k + 10])
+            fill(buffers[1], stamps_ns[k:k + 10], b[k:k + 10])
+            excitation = monitor.update(*buffers, 0, GAP_NS, config)
+            if excitation.sufficient(0.02, 0.2):
+                break
+        assert excitation.sufficient(0.02, 0.2)
+        result = calibrate(Trajectory(stamps_ns[:k + 10], a[:k + 10]),
+                           Trajectory(stamps_ns[:k + 10], b[:k + 10]), config)
+        std = np.concatenate([excitation.translation_std, excitation.rotation_std_deg])
+        normalised.append((error_of(result) / std)[[0, 1, 3, 4, 5]])
+    assert np.sqrt(np.mean(np.square(normalised))) < 1.0
+
+
+def test_flat_ground_predicts_the_rest_whatever_it_does_not_show():
+    excitation = followed(*flat_drive(1200, 0), chunk=1200)
+    assert (excitation.translation_std[:2] < 0.01).all()
+    assert (excitation.rotation_std_deg < 0.1).all()
+    assert excitation.translation_std[2] > 5.0
+
+
+@pytest.mark.parametrize('walk, white', [
+    # Wheels that measure distance to a tenth of a millimetre, beside a gyroscope that rolls.
+    ((1e-5, 0.002), (0.0, 0.0)), ((0.0, 0.0), (1e-4, 0.002)), ((0.02, 0.0003), (0.0, 0.0))])
+def test_noise_of_roll_and_pitch_is_no_ramp(walk, white):
+    for seed in range(4):
+        excitation = followed(*flat_drive(3000, seed, walk=walk, white=white), chunk=3000)
+        assert excitation.translation_std[2] > 1.0
+
+
+@pytest.mark.parametrize('settings', [{}, {'prior_rotation': '0,0,60', 'prior_rotation_std': '1'}])
+def test_where_a_vehicle_does_not_turn_open_directions_are_still_asked_for(settings):
+    stamps_ns, a, b = drive(900, ())
+    config = CalibrationConfig(allow_unobserved=True, **settings)
+    assert not followed(stamps_ns, a, b, chunk=900, config=config).sufficient(0.02, 0.2)
+
+
+def test_priors_of_all_that_motion_does_not_show_are_enough():
+    stamps_ns, a, b = drive(900, ())
+    config = CalibrationConfig(
+        prior_translation='0,0,0', prior_translation_std='0.01', prior_rotation='0,0,0',
+        prior_rotation_std='0.1')
+    assert followed(stamps_ns, a, b, chunk=900, config=config).sufficient(0.02, 0.2)
+    fixed = CalibrationConfig(prior_translation='0,0,0', prior_translation_std='0')
+    std = followed(stamps_ns, a, b, chunk=900, config=fixed).translation_std
+    assert (std < 1e-9).all()
+
+
+@pytest.mark.parametrize('given', [1.0, 2.5])
+def test_b_may_be_in_any_unit_of_length(given):
+    stamps_ns, a, b = drive(900, (0, 1, 2))
+    b[:, :3, 3] /= 2.5
+    config = CalibrationConfig(scale=given)
+    metres = followed(*drive(900, (0, 1, 2)), chunk=900)
+    scaled = followed(stamps_ns, a, b, chunk=900, config=config)
+    assert np.allclose(scaled.translation_std, metres.translation_std, rtol=0.1)
+    assert scaled.sufficient(0.02, 0.2)
+    # Of a scale that is given wrong, nothing is promised.
+    wrong = CalibrationConfig(scale_mode='fixed')
+    assert not followed(stamps_ns, a, b, chunk=900, config=wrong).sufficient(0.02, 0.2)
 
 
 def test_motion_about_all_axes_is_enough():

@@ -41,6 +41,19 @@ def test_a_signal_during_the_imports_is_a_clean_end(number):
     assert (done.returncode, done.stdout, done.stderr) == (0, 'sent\n', '')
 
 
+@pytest.mark.skipif(importlib.util.find_spec('rclpy') is None, reason='rclpy is missing')
+def test_the_end_of_the_interpreter_is_not_cut_short_by_more_signals():
+    # The functions of atexit run before Python gives back the handlers of signals.
+    code = ('import atexit, signal\n'
+            'atexit.register(lambda: print(*(int(signal.getsignal(number)) for number in '
+            '(signal.SIGINT, signal.SIGTERM, signal.SIGHUP))))\n') + SIGNALLED
+    done = subprocess.run(
+        [sys.executable, '-c', code.format(number=int(signal.SIGTERM))], capture_output=True,
+        text=True, timeout=60, check=False)
+    ignored = str(int(signal.SIG_IGN))
+    assert (done.returncode, done.stdout.split()) == (0, ['sent', *[ignored] * 3])
+
+
 def test_nohup_keeps_a_node_whose_terminal_closes():
     code = ('import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n'
             'from trajectory_calibration.ros.signals import StopSignals; stop = StopSignals()\n'

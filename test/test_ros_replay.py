@@ -21,14 +21,16 @@ def noisy_drive(poses=150):
     messages = []
     for k, stamp in enumerate(stamps_ns):
         for topic, type_name, pose, frames in (
-                ('/trajectory_a', 'Odometry', poses_a[k], ('map', 'lidar')),
+                # The odometry begins anew in another frame.
+                ('/trajectory_a', 'Odometry', poses_a[k], ('map' if k >= 15 else '', 'lidar')),
                 ('/trajectory_b', 'PoseStamped', poses_b[k], ('odom', ''))):
             noise = ros.se3.exp_se3(rng.normal(size=6) * 0.003)
             messages.append((topic, type_name, stamp, pose @ noise, frames))
             if k % 40 == 20:
-                # Late, and a stray stamp.
+                # Late, a stray stamp, and another frame.
                 messages.append((topic, type_name, stamp - 10**9, pose, frames))
                 messages.append((topic, type_name, 7, pose, frames))
+                messages.append((topic, type_name, stamp + 1, pose, ('earth', frames[1])))
     return [(topic, type_name, int(stamp), ros.serialize_message(
         ros.to_message(type_name, stamp, pose, *frames)))
         for topic, type_name, stamp, pose, frames in messages]
@@ -62,7 +64,8 @@ def test_the_replay_of_a_bag_is_the_answer_of_the_node_bit_for_bit(
             '/trajectory_b': client.publisher('trajectory_b', 'PoseStamped')}
         for topic, _, _, data in messages:
             publishers[topic].publish(data)
-        client.wait_for_poses(150, 150)
+        # Of the new frame, after the message of a third among its first.
+        client.wait_for_poses(129, 150)
         extrinsic = client.latched()
         answer = client.call('calibrate')
         client.wait(lambda: extrinsic, 'the extrinsic')
@@ -75,7 +78,8 @@ def test_the_replay_of_a_bag_is_the_answer_of_the_node_bit_for_bit(
     assert replayed['rotation_xyzw'] == [q.x, q.y, q.z, q.w]
     assert main(arguments) == 0
     assert capsys.readouterr().out == f'{answer.message}\n'
-    assert 'stray stamp' in answer.message and 'out of order' in answer.message
+    for why in ('stray stamp', 'out of order', 'other frame'):
+        assert why in answer.message
 
 
 @pytest.mark.parametrize('arguments, status, sentence', [

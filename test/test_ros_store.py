@@ -39,7 +39,7 @@ def test_every_result_gets_a_file_of_its_own_and_the_newest_is_found(tmp_path, r
     assert store.latest() is None
     paths = [store.save(result) for _ in range(3)]
     assert [path.name for path in paths] == [
-        f'front_trajectory_calibration_{k:06d}.yaml' for k in (1, 2, 3)]
+        f'front.trajectory_calibration_{k:06d}.yaml' for k in (1, 2, 3)]
     path, loaded = store.latest()
     assert path == paths[-1]
     assert np.allclose(loaded.T_a_b, result.T_a_b, atol=1e-15)
@@ -48,6 +48,51 @@ def test_every_result_gets_a_file_of_its_own_and_the_newest_is_found(tmp_path, r
 def test_nodes_that_share_a_folder_do_not_mix_their_results(tmp_path, result):
     ResultStore(str(tmp_path), '/front/node').save(result)
     assert ResultStore(str(tmp_path), '/rear/node').latest() is None
+
+
+@pytest.mark.parametrize('mine, other', [
+    ('/front/left', '/front_left'), ('/a/b_c', '/a_b/c'), ('/a_/b', '/a/_b'), ('/a/b', '/a_b'),
+    ('/node', '/node_000001')])
+def test_no_two_names_share_a_file(tmp_path, result, mine, other):
+    stores = [ResultStore(str(tmp_path), name) for name in (mine, other)]
+    stores[0].save(result)
+    assert stores[1].latest() is None
+    stores[1].save(replace(result, frame_b='other'))
+    assert [store.latest()[1].frame_b for store in stores] == [result.frame_b, 'other']
+
+
+def test_files_of_a_name_without_namespace_are_named_after_it(tmp_path, result):
+    result.save(tmp_path / 'trajectory_calibration_000007.yaml')
+    store = ResultStore(str(tmp_path), '/trajectory_calibration')
+    assert store.latest()[0].name == 'trajectory_calibration_000007.yaml'
+
+
+def test_what_is_no_regular_file_is_no_result(tmp_path, result):
+    store = ResultStore(str(tmp_path), '/node')
+    path = store.save(result)
+    os.mkfifo(tmp_path / 'node_000009.yaml')
+    (tmp_path / 'node_000010.yaml').mkdir()
+    (tmp_path / 'node_000002.yaml').symlink_to(tmp_path / 'node_000009.yaml')
+    # In a process of its own, which a FIFO would hold for ever.
+    code = ('import sys\nfrom trajectory_calibration.ros.store import ResultStore\n'
+            'print(ResultStore(sys.argv[1], "/node").latest()[0])')
+    found = subprocess.run(
+        [sys.executable, '-c', code, str(tmp_path)], capture_output=True, text=True, timeout=30,
+        check=True)
+    assert found.stdout == f'{path}\n'
+    # Nor is it overwritten.
+    assert store.save(result).name == 'node_000003.yaml'
+
+
+def test_a_file_too_large_for_a_result_is_not_read(tmp_path, result):
+    store = ResultStore(str(tmp_path), '/node')
+    path = store.save(result)
+    with (tmp_path / 'node_000009.yaml').open('wb') as stream:
+        stream.truncate(10**12)
+    assert store.latest()[0] == path
+    path.unlink()
+    with pytest.raises(ResultError, match='holds 1000000000000 bytes, needed at most 4000000'):
+        store.latest()
 
 
 def test_a_number_that_another_node_took_meanwhile_is_not_taken_again(

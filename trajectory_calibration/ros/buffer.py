@@ -24,10 +24,10 @@ from trajectory_calibration.trajectory import (
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
 JUMP_NS = 5_000_000_000
-# So many poses in a row must agree before a jump of the clock is believed.
+# So many poses in a row must agree before a jump of the clock, or other frames, are believed.
 CONFIRMATIONS = 3
-# And the new clock must go on for so long: at 200 Hz three poses are over in 10 ms, which a
-# receiver that starts anew fills with wrong stamps.
+# And they must go on for so long: at 200 Hz three poses are over in 10 ms, which a receiver that
+# starts anew fills with wrong stamps.
 CONFIRMATION_NS = 1_000_000_000
 
 _FIRST_ALLOCATION = 1024
@@ -122,8 +122,9 @@ class PoseBuffer:
     received : messages since the start.
     still : poses dropped because the sensor stood still.
     clock_jumps : times the clock went back and the buffer started anew.
-    forgotten : poses that it held at those times.
     frame_changes : times poses held gave way to poses in other frames.
+    frames_before : the frames of those that gave way last.
+    forgotten : poses that it held when the clock went back, or other frames were believed.
     refused : count of refused poses for each Refusal.
     frames : of the messages held.
     generation : changes whenever poses were forgotten other than by age or number.
@@ -147,6 +148,7 @@ class PoseBuffer:
         self.clock_jumps = 0
         self.forgotten = 0
         self.frame_changes = 0
+        self.frames_before = _NO_FRAMES
         self.refused = dict.fromkeys(Refusal, 0)
         self._forget_poses()
 
@@ -189,9 +191,10 @@ class PoseBuffer:
             return
         if frames != self.frames:
             if len(self) >= CONFIRMATIONS:
-                self.refused[Refusal.OTHER_FRAME] += 1
+                self._consider_frames(stamp_ns, frames, pose)
                 return
             self._change_frames(frames)
+        self._strangers.clear()
         step = stamp_ns - self._last_ns
         if 0 < step <= JUMP_NS or not len(self):
             self._drop_strays()
@@ -303,11 +306,37 @@ class PoseBuffer:
         self._last_ns = 0
         self._anchor: tuple[int, PoseTuple] | None = None
         self._jump: list[tuple[int, PoseTuple]] = []
+        # Poses in a row in frames that are not those held, and these frames.
+        self._strangers: list[tuple[int, PoseTuple]] = []
+        self._strange_frames = _NO_FRAMES
 
     def _change_frames(self, frames: Frames) -> None:
         if len(self) and frames != self.frames:
             self.frame_changes += 1
+            self.frames_before = self.frames
         self._forget_poses(frames)
+
+    def _consider_frames(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
+        """Refuse a pose in other frames, unless those before it were in these, too."""
+        self.refused[Refusal.OTHER_FRAME] += 1
+        if frames != self._strange_frames:
+            self._strangers.clear()
+            self._strange_frames = frames
+        step = stamp_ns - self._strangers[-1][0] if self._strangers else 1
+        if -JUMP_NS <= step <= 0:
+            return
+        # Of two poses so far apart, one has a wrong stamp: the later one decides which.
+        if abs(step) > JUMP_NS:
+            self._strangers.clear()
+        self._strangers.append((stamp_ns, pose))
+        if not self._is_confirmed(self._strangers):
+            return
+        confirmed = self._strangers
+        self.refused[Refusal.OTHER_FRAME] -= len(confirmed)
+        self.forgotten += len(self)
+        self._change_frames(frames)
+        for stamp, held in confirmed:
+            self._store(stamp, held)
 
     def _drop_strays(self) -> None:
         if self._jump:
@@ -319,7 +348,7 @@ class PoseBuffer:
         if self._jump and stamp_ns <= self._jump[-1][0]:
             self._drop_strays()
         self._jump.append((stamp_ns, pose))
-        if not self._jump_is_confirmed():
+        if not self._is_confirmed(self._jump):
             return
         confirmed, self._jump = self._jump, []
         if confirmed[0][0] < self._last_ns:
@@ -329,12 +358,12 @@ class PoseBuffer:
         for stamp, held in confirmed:
             self._store(stamp, held)
 
-    def _jump_is_confirmed(self) -> bool:
+    def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:
+        """Return whether poses in a row that contradict what is held are to be believed."""
         # Of a clock that hardly moves no more are held back than a buffer keeps.
-        if len(self._jump) >= self._limits.max_poses:
+        if len(row) >= self._limits.max_poses:
             return True
-        lasted_ns = self._jump[-1][0] - self._jump[0][0]
-        return len(self._jump) >= CONFIRMATIONS and lasted_ns >= CONFIRMATION_NS
+        return len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= CONFIRMATION_NS
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
         if self._stands(stamp_ns, pose):

@@ -15,7 +15,7 @@ from trajectory_calibration.se3 import FloatArray
 
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0
-# A clock that went back is reported for so long, seconds.
+# Poses that were forgotten are reported for so long, seconds.
 _RECENT_S = 60.0
 
 
@@ -40,9 +40,9 @@ class InputMonitor:
         self._held: tuple[object, ...] = ()
         self._useless_since_s: float | None = None
         self._refused = 0
-        # Clock jumps and the poses that they cost, as last seen.
-        self._jumps = (0, 0)
-        self._jumped_s = -math.inf
+        # Clock jumps, changes of frames and the poses that they cost, as last seen.
+        self._losses = (0, 0, 0)
+        self._lost_s = -math.inf
         self._loss = ''
 
     def report(self, topic: TopicStatus, now_s: float) -> DiagnosticStatus:
@@ -84,14 +84,22 @@ class InputMonitor:
         return self._buffer.refusals() if changed else ''
 
     def new_loss(self, now_s: float) -> str:
-        """Return what a clock that went back has cost since the last call, or ''."""
+        """Return what a clock that went back, or other frames, have cost since then, or ''."""
         buffer = self._buffer
-        (jumps, forgotten), self._jumps = self._jumps, (buffer.clock_jumps, buffer.forgotten)
-        if buffer.clock_jumps <= jumps:
+        (jumps, changes, forgotten), self._losses = self._losses, (
+            buffer.clock_jumps, buffer.frame_changes, buffer.forgotten)
+        if buffer.forgotten <= forgotten:
             return ''
-        self._jumped_s = now_s
-        self._loss = (f'its stamps went back, {buffer.forgotten - forgotten} poses were '
-                      'forgotten; unless a bag began anew, correct the clock of its sender')
+        self._lost_s = now_s
+        lost = f'{buffer.forgotten - forgotten} poses were forgotten'
+        if buffer.frame_changes > changes:
+            before, now = (' and '.join(name or 'none' for name in frames)
+                           for frames in (buffer.frames_before, buffer.frames))
+            self._loss = (f'its frames changed from {before} to {now}, {lost}; unless its sender '
+                          'began anew, see that one sensor alone publishes on the topic')
+        if buffer.clock_jumps > jumps:
+            self._loss = (f'its stamps went back, {lost}; unless a bag began anew, correct the '
+                          'clock of its sender')
         return self._loss
 
     def _judge(self, topic: TopicStatus, now_s: float) -> tuple[bytes, str]:
@@ -109,8 +117,10 @@ class InputMonitor:
             why = self._buffer.refusals() or 'their stamps jumped and hardly go on'
             return DiagnosticStatus.WARN, (
                 f'{topic.text}: no pose taken for {now_s - self._useless_since_s:.0f} s: {why}')
-        if self._buffer.clock_jumps and now_s - self._jumped_s < _RECENT_S:
+        if self._buffer.forgotten and now_s - self._lost_s < _RECENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
+        if topic.doubt:
+            return DiagnosticStatus.WARN, f'{topic.text}: {self.rate_hz:.1f} Hz from {topic.doubt}'
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 

@@ -1,13 +1,6 @@
 """What the motion so far would allow, kept up to date while it is driven.
 
-Two sensors' motions over about a second each, non-overlapping, are enough for the separable
-least-squares solution (``solvers.separable``), and that needs nothing but sums of fixed size:
-with phi the rotation vectors and t the translations of a motion, D = R_A - I,
-
-    R_a_b from sum phi_A phi_B^T,   t_a_b from (sum D^T D) t = sum D^T (R_a_b t_B - t_A),
-
-their residuals and hence the standard deviations of an answer. The excitation is taken from the
-product of what a and b saw, whose noises are independent: noise alone does not count as motion.
+Two sensors' motions over about a second each, non-overlapping, are summed (``motion_sums``).
 A second of driving costs one small update, whatever was driven before; when a tenth of what the
 buffers hold has left them, the sums begin anew from the rest. Nothing here imports ROS.
 """
@@ -21,8 +14,12 @@ from numpy.typing import NDArray
 
 from trajectory_calibration import se3
 from trajectory_calibration.association import COINCIDENCE_NS, is_sparser
+from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.excitation import UNKNOWN
 from trajectory_calibration.interpolation import left_of
+from trajectory_calibration.observability import axis_name
 from trajectory_calibration.ros.buffer import PoseBuffer
+from trajectory_calibration.ros.motion_sums import MotionSums
 from trajectory_calibration.se3 import FloatArray
 
 _STEP_NS = 1_000_000_000
@@ -33,10 +30,18 @@ _SHARE_LEFT = 0.1
 # Fewer motions leave no residual to judge the noise by.
 _FEWEST = 5
 
-# A standard deviation so many times its limit is no number worth naming.
+# A standard deviation so many times its limit, or more than this share of what stands for
+# unknown, is no number worth naming.
 _HOPELESS = 100.0
+_UNKNOWN_SHARE = 0.5
+
+# Turns about one axis are all there is where those about the others are less than this share.
+_SINGLE = 0.1
 
 _AXES = 'xyz'
+
+# Metres, then degrees.
+_UNKNOWN = np.concatenate([UNKNOWN[:3], np.rad2deg(UNKNOWN[3:])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,43 +53,79 @@ class Excitation:
     motions : motions of about a second that both sensors saw.
     driven : the same with those that have left the buffers since these began.
     rotation_deg : (3,) root mean square rotation of a motion about x, y, z, degrees.
-    translation_std : (3,) predicted standard deviations of the translation, metres.
-    rotation_std_deg : (3,) predicted standard deviations of the rotation, degrees. Infinite
-        where nothing is determined.
+    covariance : (6, 6) predicted of an answer, priors included, translation before rotation,
+        m^2 and rad^2; as wide as ``trajectory_calibration.excitation.UNKNOWN`` where nothing is
+        determined.
+    missing : (3,) unit vector: the one direction of the translation that the answer may leave
+        open; None where there is none, or where it is asked for.
 
     """
 
     motions: int
     driven: int
     rotation_deg: FloatArray
-    translation_std: FloatArray
-    rotation_std_deg: FloatArray
+    covariance: FloatArray
+    missing: FloatArray | None = None
+
+    @property
+    def translation_std(self) -> FloatArray:
+        """Return (3,) predicted standard deviations of the translation, metres."""
+        std: FloatArray = np.sqrt(np.diagonal(self.covariance)[:3])
+        return std
+
+    @property
+    def rotation_std_deg(self) -> FloatArray:
+        """Return (3,) predicted standard deviations of the rotation, degrees."""
+        std: FloatArray = np.rad2deg(np.sqrt(np.diagonal(self.covariance)[3:]))
+        return std
 
     def sufficient(self, translation_limit: float, rotation_limit_deg: float) -> bool:
-        """Return whether all standard deviations are within the limits, metres and degrees."""
-        return bool((self.translation_std <= translation_limit).all()
-                    and (self.rotation_std_deg <= rotation_limit_deg).all())
+        """Return whether what is asked for is within the limits, metres and degrees."""
+        return bool(self.motions >= _FEWEST
+                    and (self._ratios(translation_limit, rotation_limit_deg) <= 1.0).all())
 
     def advice(self, frame_a: str, translation_limit: float, rotation_limit_deg: float) -> str:
         """Return one sentence for the driver."""
         if self.motions < _FEWEST:
             return (f'drive: {self.motions} motions seen by both sensors at the same time, '
                     f'needed {_FEWEST} to judge')
-        ratios = np.concatenate([
-            self.translation_std / translation_limit, self.rotation_std_deg / rotation_limit_deg])
+        ratios = self._ratios(translation_limit, rotation_limit_deg)
         worst = int(np.argmax(ratios))
         if ratios[worst] <= 1.0:
-            return 'enough motion: call ~/calibrate'
-        axis = _AXES[worst % 3]
-        what, std, limit, unit = (
-            ('translation along', self.translation_std[worst], translation_limit, 'm')
-            if worst < 3 else
-            ('rotation about', self.rotation_std_deg[worst - 3], rotation_limit_deg, 'deg'))
-        known = ('is not determined' if ratios[worst] > _HOPELESS else
-                 f'has a standard deviation of {std:.2g} {unit}')
-        weakest = int(np.argmin(self.rotation_deg))
-        return (f'turn more about {_AXES[weakest]} of {frame_a} ({self.rotation_deg[weakest]:.1f} '
-                f'deg a second so far): {what} {axis} {known}, needed {limit:g} {unit}')
+            left_out = ('' if self.missing is None else
+                        f'; translation along {axis_name(self.missing)} of {frame_a} stays open')
+            return f'enough motion: call ~/calibrate{left_out}'
+        std = np.concatenate([self.translation_std, self.rotation_std_deg])[worst]
+        limit, unit, what = (
+            (translation_limit, 'm', 'translation along') if worst < 3 else
+            (rotation_limit_deg, 'deg', 'rotation about'))
+        unknown = ratios[worst] > _HOPELESS or std > _UNKNOWN_SHARE * _UNKNOWN[worst]
+        known = 'is not determined' if unknown else f'has a standard deviation of {std:.2g} {unit}'
+        return (f'{self._manoeuvre(worst, frame_a)}: {what} {_AXES[worst % 3]} {known}, '
+                f'needed {limit:g} {unit}')
+
+    def _manoeuvre(self, worst: int, frame_a: str) -> str:
+        """Return what to drive, or to give, for the worst component."""
+        weakest, _, most = np.argsort(self.rotation_deg)
+        turned = self.rotation_deg
+        if turned[most] and np.sort(turned)[1] <= _SINGLE * turned[most]:
+            if worst == most:
+                return ('drive a ramp or a bank, or give prior_translation along '
+                        f'{_AXES[most]} of {frame_a}')
+            if worst == 3 + most:
+                return f'drive farther, not on the spot, and curves both ways, for {frame_a}'
+        return (f'turn more about {_AXES[weakest]} of {frame_a} ({turned[weakest]:.1f} deg a '
+                'second so far)')
+
+    def _ratios(self, translation_limit: float, rotation_limit_deg: float) -> FloatArray:
+        """Return (6,) standard deviations over their limits, of what is asked for."""
+        translation = self.covariance[:3, :3]
+        if self.missing is not None:
+            across = np.eye(3) - np.outer(self.missing, self.missing)
+            translation = across @ translation @ across
+        return np.concatenate([
+            np.sqrt(np.maximum(np.diagonal(translation), 0.0)) / translation_limit,
+            self.rotation_std_deg / rotation_limit_deg])
 
 
 class ExcitationMonitor:
@@ -106,8 +147,13 @@ class ExcitationMonitor:
 
     def update(
         self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int, max_gap_ns: int,
+        config: CalibrationConfig | None = None,
     ) -> Excitation:
-        """Take what has arrived since the last call and return the state of things."""
+        """Take what has arrived since the last call and return the state of things.
+
+        ``config`` is how an answer would be found: its solver, scale, priors, and whether a
+        direction may stay open.
+        """
         self.at_a = is_sparser(a.stamps_ns, b.stamps_ns)
         # Sums over other poses, or over pairs at another offset or across other gaps, say nothing
         # about these.
@@ -122,7 +168,18 @@ class ExcitationMonitor:
             self._clear()
             self._advance(a, b, time_offset_ns, max_gap_ns)
             self._left += summed - self._sums.motions
-        return self._sums.excitation(self._left)
+        return self._state(config or CalibrationConfig())
+
+    def _state(self, config: CalibrationConfig) -> Excitation:
+        sums, missing = self._sums, None
+        covariance = sums.covariance(config)
+        if config.allow_unobserved:
+            variances, axes = np.linalg.eigh(covariance[:3, :3])
+            if np.sqrt(variances[2]) > config.unobserved_translation:
+                missing = axes[:, 2]
+        return Excitation(
+            sums.motions, sums.motions + self._left, np.rad2deg(sums.rotation_rms()),
+            covariance, missing)
 
     def _much_has_left(self, a: PoseBuffer, b: PoseBuffer, time_offset_ns: int) -> bool:
         span_a, span_b = a.span_ns, b.span_ns
@@ -133,7 +190,7 @@ class ExcitationMonitor:
         return oldest_ns - self._first_ns > max(_SHARE_LEFT * held_ns, _STEP_NS)
 
     def _clear(self) -> None:
-        self._sums = _MotionSums()
+        self._sums = MotionSums()
         # The first instant in the sums.
         self._first_ns: int | None = None
         # The last instant looked at, and the last one with poses of both sensors.
@@ -177,101 +234,6 @@ class ExcitationMonitor:
             self._first_ns = int(self._stamps_ns[0])
         self._stamps_ns = self._stamps_ns[-1:]
         self._poses_a, self._poses_b = self._poses_a[-1:], self._poses_b[-1:]
-
-
-class _MotionSums:
-    """The sums of the module's formulas."""
-
-    def __init__(self) -> None:
-        self.motions = 0
-        self._phi_a_phi_b = np.zeros((3, 3))
-        self._weighted = np.zeros((3, 3))
-        self._rotation_energy = 0.0
-        self._DtD = np.zeros((3, 3))
-        self._D_t_b = np.zeros((3, 3, 3))
-        self._Dt_t_a = np.zeros(3)
-        self._t_b_t_a = np.zeros((3, 3))
-        self._translation_energy = 0.0
-
-    def add(self, A: FloatArray, B: FloatArray) -> None:
-        """Add (M, 4, 4) motions of both sensors."""
-        phi_a, phi_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
-        t_a, t_b = A[:, :3, 3], B[:, :3, 3]
-        D = A[:, :3, :3] - np.eye(3)
-        half = np.linalg.norm(phi_a, axis=1) / 2
-        # |D v|^2 = (sin half / half)^2 |phi x v|^2.
-        weight = np.sinc(half / np.pi)**2
-        self.motions += len(A)
-        self._phi_a_phi_b += phi_a.T @ phi_b
-        self._weighted += (phi_a * weight[:, None]).T @ phi_b
-        self._rotation_energy += float(np.sum(phi_a**2) + np.sum(phi_b**2))
-        self._DtD += np.einsum('kmi,kmj->ij', D, D)
-        self._D_t_b += np.einsum('kmi,kl->iml', D, t_b)
-        self._Dt_t_a += np.einsum('kmi,km->i', D, t_a)
-        self._t_b_t_a += t_b.T @ t_a
-        self._translation_energy += float(np.sum(t_a**2) + np.sum(t_b**2))
-
-    def excitation(self, left: int) -> Excitation:
-        """Return what the sums say, after ``left`` motions that are no longer in them."""
-        R = se3.nearest_rotation(self._phi_a_phi_b)
-        seen = _symmetric(self._phi_a_phi_b @ R.T)
-        rms = np.sqrt(np.maximum(np.diag(seen), 0.0) / max(1, self.motions))
-        if self.motions < _FEWEST:
-            unknown = np.full(3, np.inf)
-            return Excitation(
-                self.motions, self.motions + left, np.rad2deg(rms), unknown, unknown)
-        freedom = 3 * self.motions - 3
-        rotation_residual = self._rotation_energy - 2 * np.sum(R * self._phi_a_phi_b)
-        rotation = _covariance(rotation_residual / freedom, _inverse(_seen_across(seen)))
-        Dt_R_t_b = np.einsum('iml,ml->i', self._D_t_b, R)
-        right = Dt_R_t_b - self._Dt_t_a
-        t = np.linalg.lstsq(self._DtD, right, rcond=None)[0]
-        translation_residual = (
-            self._translation_energy - 2 * np.sum(R * self._t_b_t_a.T) - right @ t)
-        information = _inverse(_seen_across(_symmetric(self._weighted @ R.T)))
-        # An error of the rotation turns every t_B and moves the translation with it.
-        turned = np.einsum('iml,jl->imj', self._D_t_b, R)
-        lever = np.einsum('imj,mjk->ik', turned, _LEVI_CIVITA)
-        moved = information @ lever if np.isfinite(information).all() else np.zeros((3, 3))
-        translation = _covariance(translation_residual / freedom, information)
-        if np.isfinite(rotation).all():
-            translation = translation + moved @ rotation @ moved.T
-        return Excitation(
-            self.motions, self.motions + left, np.rad2deg(rms), np.sqrt(np.diag(translation)),
-            np.rad2deg(np.sqrt(np.diag(rotation))))
-
-
-# (a x b)_m = sum of e_mjk a_j b_k.
-_LEVI_CIVITA = np.zeros((3, 3, 3))
-_LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
-_LEVI_CIVITA[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
-
-
-def _covariance(variance: float, inverse: FloatArray) -> FloatArray:
-    """Return their product; without any noise, what is not determined stays so."""
-    determined = np.isfinite(inverse)
-    product = max(variance, 0.0) * np.where(determined, inverse, 0.0)
-    result: FloatArray = np.where(determined, product, np.inf)
-    return result
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    return 0.5 * (matrix + matrix.T)
-
-
-def _seen_across(seen: FloatArray) -> FloatArray:
-    """Return ``sum |phi|^2 I - phi phi^T``: a rotation shows what lies across its axis."""
-    return np.trace(seen) * np.eye(3) - seen
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    """Return the inverse, infinite on the diagonal where a direction is not determined."""
-    values, vectors = np.linalg.eigh(information)
-    if values[0] <= 1e-12 * max(values[2], 1e-300):
-        weak = vectors[:, values <= 1e-12 * max(values[2], 1e-300)]
-        return np.diag(np.where((np.abs(weak) > 1e-3).any(axis=1), np.inf, 0.0))
-    inverse: FloatArray = (vectors / values) @ vectors.T
-    return inverse
 
 
 def _matrices(rows: FloatArray) -> FloatArray:

@@ -12,6 +12,13 @@ def main() -> int:
     # Before the imports, which take longer than everything else up to the first pose.
     stop = StopSignals()
     try:
+        return _run(stop)
+    finally:
+        stop.ignore()
+
+
+def _run(stop: StopSignals) -> int:
+    try:
         from trajectory_calibration.ros.node import main as run
     except ModuleNotFoundError as error:
         if (error.name or '').startswith('trajectory_calibration'):

@@ -14,7 +14,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.time_source import CLOCK_TOPIC
 from rclpy.utilities import get_default_context
 from std_srvs.srv import Trigger
 
@@ -122,6 +124,21 @@ class CalibrationNode(Node):
         self.create_timer(_DIAGNOSTICS_S, self._report, clock=steady)
         if values['restore']:
             self._restore()
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any,
+    ) -> Subscription:
+        """Subscribe as any node does, but outlive what rclpy cannot take on ``/clock``."""
+        def take_time(message: Any) -> None:
+            # rclpy raises for negative seconds, out of the executor.
+            try:
+                callback(message)
+            except ValueError as error:
+                self.get_logger().warning(
+                    f'{CLOCK_TOPIC} ignored: {error}; correct the clock of its sender',
+                    throttle_duration_sec=_REFUSAL_LOG_S)
+        return super().create_subscription(
+            msg_type, topic, take_time if topic == CLOCK_TOPIC else callback, *args, **kwargs)
 
     def take_leave(self, executor: SingleThreadedExecutor) -> None:
         """Stop a running calibration and answer its caller."""
@@ -262,7 +279,7 @@ class CalibrationNode(Node):
                     else values['time_offset'])
         return self._excitation.update(
             self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
-            round(values['max_gap'] * 1e9)), offset_s
+            round(values['max_gap'] * 1e9), to_config(values)), offset_s
 
     def _clock_offset(self) -> str:
         """Return the clock offset that a calibration since the last reset found, or ''."""

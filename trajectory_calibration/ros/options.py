@@ -101,6 +101,12 @@ def is_foreign(name: str) -> bool:
     return name in _FOREIGN_NAMES or name.startswith(_FOREIGN_PREFIX)
 
 
+def check_foreign(name: str, value: Any) -> None:
+    """Raise ConfigError for a value of rclpy's own switches that is none: it would go unheeded."""
+    if name in _FOREIGN_NAMES and not isinstance(value, bool):
+        raise ConfigError(f'{name} is {value!r}, needed true or false')
+
+
 def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return every option in its type, the defaults where ``values`` has none.
 

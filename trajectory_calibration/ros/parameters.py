@@ -16,7 +16,13 @@ from rclpy.parameter import Parameter
 
 from trajectory_calibration.config import Option
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.ros.options import check_values, FIXED_NAMES, is_foreign, OPTIONS
+from trajectory_calibration.ros.options import (
+    check_foreign,
+    check_values,
+    FIXED_NAMES,
+    is_foreign,
+    OPTIONS,
+)
 
 
 class NodeParameters:
@@ -34,9 +40,11 @@ class NodeParameters:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        given = {
-            name: parameter.value for name, parameter in node.get_parameters_by_prefix('').items()
-            if not is_foreign(name)}
+        given = {}
+        for name, parameter in node.get_parameters_by_prefix('').items():
+            check_foreign(name, parameter.value)
+            if not is_foreign(name):
+                given[name] = parameter.value
         values = check_values(given)
         for name in given:
             node.undeclare_parameter(name)

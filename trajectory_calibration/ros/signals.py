@@ -23,12 +23,21 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.received = False
-        numbers = [signal.SIGINT, signal.SIGTERM]
+        self._numbers = [signal.SIGINT, signal.SIGTERM]
         # nohup has it ignored: the node is to outlive its terminal.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            numbers.append(signal.SIGHUP)
-        for number in numbers:
+            self._numbers.append(signal.SIGHUP)
+        for number in self._numbers:
             signal.signal(number, self._on_signal)
+
+    def ignore(self) -> None:
+        """Ignore the signals from now on: the process ends by itself.
+
+        Python takes its handlers away before it has ended. A second signal then, as an impatient
+        person sends, would be the end of the process and its status.
+        """
+        for number in self._numbers:
+            signal.signal(number, signal.SIG_IGN)
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         del number, frame

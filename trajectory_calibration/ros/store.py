@@ -11,12 +11,17 @@ import re
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.result import CalibrationResult, write_yaml
 
+# Bytes of a file that is read. A result has a few thousand; one with half of 1,000,000 motions
+# rejected at random, which it lists, has 3,000,000.
+_LARGEST = 4_000_000
+
 
 class ResultStore:
     """The results of one node in a folder.
 
     Files are named after the node and a running number: no name comes from a message, and no
-    order depends on a clock that a vehicle may set after it has started.
+    order depends on a clock that a vehicle may set after it has started. A dot stands for each
+    slash of the node's name, which itself holds none: no two nodes have the same files.
 
     Parameters
     ----------
@@ -39,7 +44,7 @@ class ResultStore:
             raise ConfigError(
                 f'result_directory {folder} names the home of nobody known here; give its full '
                 'path') from error
-        self._prefix = re.sub(r'\W+', '_', node_name.strip('/'))
+        self._prefix = node_name.strip('/').replace('/', '.')
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -88,6 +93,7 @@ class ResultStore:
         return None
 
     def _files(self) -> list[tuple[int, Path]]:
+        """Return number and path of each result; what waits for a writer, as a FIFO, is none."""
         pattern = re.compile(rf'{re.escape(self._prefix)}_(\d+)\.yaml')
         try:
             paths = list(self._folder.iterdir())
@@ -96,10 +102,24 @@ class ResultStore:
                 f'{self._folder} cannot be read: {error.strerror}; put it back, or start the node '
                 'with another result_directory') from error
         found = ((pattern.fullmatch(path.name), path) for path in paths)
-        return [(int(match[1]), path) for match, path in found if match]
+        return [(int(match[1]), path) for match, path in found if match and _is_file(path)]
+
+
+def _is_file(path: Path) -> bool:
+    # The permissions of the folder may have changed.
+    with suppress(OSError):
+        return path.is_file()
+    return False
 
 
 def _load(path: Path) -> CalibrationResult | ResultError:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        return ResultError(f'{path} cannot be read as a result: {error}')
+    if size > _LARGEST:
+        return ResultError(
+            f'{path} holds {size} bytes, needed at most {_LARGEST}: it is no result of this node')
     try:
         result = CalibrationResult.load(path)
         # No message can carry a name that is no UTF-8; YAML can.

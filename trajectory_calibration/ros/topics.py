@@ -25,11 +25,13 @@ class TopicStatus:
     ----------
     text : one sentence.
     ready : whether messages can arrive.
+    doubt : what a person should check although they do, '' where nothing.
 
     """
 
     text: str
     ready: bool = False
+    doubt: str = ''
 
 
 class TrajectorySubscription:
@@ -86,8 +88,8 @@ class TrajectorySubscription:
             msgtype, [publisher for publisher in publishers if publisher.topic_type == msgtype])
         if msgtype != self._msgtype or profile != self._profile:
             self._subscribe(msgtype, profile)
-        several = f' from {len(publishers)} publishers' if len(publishers) > 1 else ''
-        self.status = TopicStatus(f'{msgtype} on {self._topic}{several}', ready=True)
+        self.status = TopicStatus(
+            f'{msgtype} on {self._topic}', ready=True, doubt=_doubt(publishers))
 
     def _fitting_profile(
         self, msgtype: str, publishers: Sequence[TopicEndpointInfo],
@@ -142,6 +144,16 @@ def resolve_topic(node: Node, topic: str) -> str:
         return node.resolve_topic_name(topic)
     except RuntimeError as error:
         raise ConfigError(f'{topic!r} is not a name of a topic: {error}') from error
+
+
+def _doubt(publishers: Sequence[TopicEndpointInfo]) -> str:
+    """Ask about several publishers: two odometries mixed look like one that jumps."""
+    if len(publishers) < 2:
+        return ''
+    nodes = sorted(f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
+                   for publisher in publishers)
+    return (f'{len(publishers)} publishers ({", ".join(nodes)}): are they the same sensor, with '
+            'the same origin? If not, give each a topic of its own')
 
 
 def _matching_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
