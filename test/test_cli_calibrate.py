@@ -75,7 +75,8 @@ def test_text_shows_the_transform_and_the_warnings_first(files, tmp_path, capsys
 
 def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
     a, b, _ = files
-    run(capsys, 'calibrate', a, b, *SOLVER, '--time-offset', 0.1, '--output', tmp_path)
+    run(capsys, 'calibrate', a, b, *SOLVER, '--time-offset', 0.1,
+        '--time-offset-mode', 'fixed', '--output', tmp_path)
     data = CalibrationResult.load(tmp_path / 'result.yaml').to_dict()
     data['covariance'] = np.diag([0.01**2] * 3 + [np.deg2rad(0.2)**2] * 3).tolist()
     data['scale'] = 1.02
