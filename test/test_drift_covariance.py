@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from motion_data import random_pose
 import numpy as np
 import pytest
 from test_drift_aware import (
@@ -156,6 +157,49 @@ def test_lags_that_disagree_are_a_warning_and_widen():
             assert f'at least {np.sqrt(check.excess):.1f} times' in text
     # Drives of two minutes with errors of four seconds: half of them show it.
     assert warned > 2
+
+
+def test_rotation_noise_pulls_at_the_answer_of_a_lag(monkeypatch):
+    """The predicted bias against the mean of answers; the bodies are b's poses, noise and all."""
+    times, phi = 0.2 * np.arange(200), 0.01
+    monkeypatch.setattr(consistency, 'LAGS', (2,))
+    true = smooth_motion(np.random.default_rng(0), times, tilt=0.1, turn=0.3)
+    true[:, 0, 3] += 30 * times
+    T_a_b = se3.from_rotation_translation(se3.exp_so3([0.3, -0.5, 1.0]), [0.4, -0.3, 0.8])
+    differences, squares = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        pairs = as_pairs(times, shaken(rng, true, 0.001, phi),
+                         shaken(rng, true @ T_a_b, 0.001, phi))
+        chain = Chain.from_pairs(pairs)
+        noise = replace(DriftNoise.guess(chain, np.ones((199, 6)), 0.5),
+                        log_variances=2 * np.log([0.001, phi, *[1e-7] * 4]))
+        state = replace(State.start(chain, T_a_b), bodies=pairs.poses_b)
+        found = []
+        for share in (0.0, 1.0):
+            monkeypatch.setattr(consistency, 'UNKNOWN_SHARE', share)
+            found.append(consistency.check_lags(chain, state, noise))
+        differences.append(found[0].difference)
+        squares.append(found[1].covariance - found[0].covariance)
+    mean = np.mean(differences, axis=0)
+    error = np.std(differences, axis=0) / np.sqrt(60)
+    expected = np.sqrt(np.diag(np.mean(squares, axis=0)))
+    assert (expected / error).max() > 10
+    np.testing.assert_array_less(np.abs(np.abs(mean) - expected), 0.1 * expected + 3.5 * error)
+
+
+@pytest.mark.parametrize('of_a', [0.0, 1.0])
+def test_white_noise_at_speed_is_no_disagreement(of_a):
+    """Over steps of six metres two milliradians say more of a motion than the motion does."""
+    times = 0.2 * np.arange(300)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = smooth_motion(rng, times, tilt=0.01, turn=0.05)
+        true[:, 0, 3] += 30 * times
+        T_a_b = random_pose(rng)
+        pairs = as_pairs(times, shaken(rng, true, 0.005, 0.002 * of_a),
+                         shaken(rng, true @ T_a_b, 0.005, 0.002))
+        assert estimate(pairs, FIXED).lags.statistic < consistency.SIGNIFICANT
 
 
 def test_evidence_counts_by_degrees():
