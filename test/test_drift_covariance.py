@@ -2,9 +2,19 @@
 
 from dataclasses import replace
 
+from motion_data import random_pose
 import numpy as np
 import pytest
-from test_drift_aware import AUTO, error_of, FIXED, simulated
+from test_drift_aware import (
+    as_pairs,
+    AUTO,
+    drifted,
+    error_of,
+    FIXED,
+    shaken,
+    simulated,
+    smooth_motion,
+)
 
 from trajectory_calibration import se3
 from trajectory_calibration.association import associate, PosePairs
@@ -13,12 +23,19 @@ from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_n
 from trajectory_calibration.solvers import quadratic
 from trajectory_calibration.solvers.drift import averaging, consistency, covariance
 from trajectory_calibration.solvers.drift.covariance import in_parent_axes
+from trajectory_calibration.solvers.drift.likelihood import (
+    evaluate,
+    global_likelihood,
+    predict_step,
+)
 from trajectory_calibration.solvers.drift.model import (
     Chain,
     columns_of,
     corrected_steps,
+    PARAMETERS,
     State,
 )
+from trajectory_calibration.solvers.drift.noise import Noise as DriftNoise
 from trajectory_calibration.solvers.drift.selection import estimate, PRIOR_SCALE, RIVALS
 from trajectory_calibration.solvers.drift_aware import solve_pairs
 
@@ -46,6 +63,70 @@ def test_the_answer_of_a_lag_is_that_of_dnl(monkeypatch):
         np.testing.assert_allclose(check.difference, found, atol=0.15 * deviation.max())
         np.testing.assert_allclose(
             check.difference / deviation, found / deviation, atol=0.2)
+
+
+def at_the_truth(seed, share):
+    """Return a (6,) gradient at the truth, the expected (3,) and the covariance.
+
+    ``share`` of the white noise of rotation is that of a. The drive turns by a tenth about the
+    horizontal axes.
+    """
+    rng = np.random.default_rng(seed)
+    T_a_b = se3.from_rotation_translation(se3.exp_so3([0.3, -0.5, 1.0]), [0.4, -0.3, 0.8])
+    times, phi = 0.2 * np.arange(150), 0.02
+    true_a = smooth_motion(np.random.default_rng(0), times, tilt=0.1)
+    true_b = drifted(rng, true_a @ T_a_b, (0.01, 0.001), (), 1.0, np.zeros(3))
+    pairs = as_pairs(times, shaken(rng, true_a, 0.005, phi * np.sqrt(2 * share)),
+                     shaken(rng, true_b, 0.005, phi * np.sqrt(2 - 2 * share)))
+    chain = Chain.from_pairs(pairs)
+    state, steps = State.start(chain, T_a_b), (149, 2)
+    noise = replace(
+        DriftNoise.guess(chain, np.ones((149, 6)), 0.5), jump_probability=np.zeros(steps),
+        log_variances=2 * np.log([0.005, phi, 0.01, 0.001, 1e-7, 1e-7]))
+    columns = columns_of(())
+    for _ in range(3):
+        _, response = predict_step(chain, state, noise, columns, 0.0)
+        state = state.moved(np.zeros(PARAMETERS), -response[:, :, -1])
+    gradient = global_likelihood(chain, state, noise, 0.0).blocks.sum(axis=0)[:6, -1]
+    found = evaluate(chain, state, noise, columns)
+    expected = 0.5 * np.tensordot(noise.white_slopes(T_a_b), found.white_projected, 2)
+    return gradient, expected, found.covariance
+
+
+@pytest.mark.parametrize('share', [0.0, 0.5, 1.0])
+def test_rotation_noise_of_a_pulls_at_the_lever_arm(share):
+    """Half the gradient at the truth is tr(P dV/dt) / 2 with equal sensors, twice that of a."""
+    gradients, expected, covariances = (
+        np.array(values) for values in
+        zip(*(at_the_truth(seed, share) for seed in range(60)), strict=True))
+    expected = np.append(expected.mean(axis=0), np.zeros(3))
+    off = gradients.mean(axis=0) - 2 * share * expected
+    # A gradient scatters by its information, the inverse of the covariance: chi-squared of six.
+    spread = 60 * covariances.mean(axis=0)
+    assert expected @ spread @ expected > 100
+    assert off @ spread @ off < 22.5
+
+
+@pytest.mark.parametrize('mode', ['fixed', 'estimate'])
+def test_the_shift_of_the_lever_arm_is_in_the_covariance(mode, monkeypatch):
+    pairs, _ = simulated(30, poses=300, white=(0.01, 0.02), walk=(0.01, 0.002))
+    fit = estimate(pairs, {**FIXED, 'scale': mode})
+    bias = covariance.lever_arm_bias(fit, fit.evaluation.covariance)
+    # Towards no lever arm, in the axes of b.
+    T_b_a = se3.inverse(fit.state.T_a_b)
+    assert bias[:3] @ T_b_a[:3, 3] > 0.1 * np.linalg.norm(bias[:3])
+    found = covariance.parameter_covariance(fit)
+    monkeypatch.setattr(covariance, 'lever_arm_bias', lambda *_: np.zeros(len(bias)))
+    np.testing.assert_allclose(
+        found - covariance.parameter_covariance(fit), 4 / 3 * np.outer(bias, bias),
+        rtol=1e-3, atol=1e-9)
+
+
+def test_a_direction_without_information_has_no_shift():
+    pairs, _ = simulated(8, poses=200, planar=True)
+    fit = estimate(pairs, FIXED)
+    bias = covariance.lever_arm_bias(fit, fit.likelihood.estimate(columns_of(()))[1])
+    assert np.abs(bias).max() < 1e-6
 
 
 def test_lags_agree_where_the_noise_is_the_model_s():
@@ -76,6 +157,49 @@ def test_lags_that_disagree_are_a_warning_and_widen():
             assert f'at least {np.sqrt(check.excess):.1f} times' in text
     # Drives of two minutes with errors of four seconds: half of them show it.
     assert warned > 2
+
+
+def test_rotation_noise_pulls_at_the_answer_of_a_lag(monkeypatch):
+    """The predicted bias against the mean of answers; the bodies are b's poses, noise and all."""
+    times, phi = 0.2 * np.arange(200), 0.01
+    monkeypatch.setattr(consistency, 'LAGS', (2,))
+    true = smooth_motion(np.random.default_rng(0), times, tilt=0.1, turn=0.3)
+    true[:, 0, 3] += 30 * times
+    T_a_b = se3.from_rotation_translation(se3.exp_so3([0.3, -0.5, 1.0]), [0.4, -0.3, 0.8])
+    differences, squares = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        pairs = as_pairs(times, shaken(rng, true, 0.001, phi),
+                         shaken(rng, true @ T_a_b, 0.001, phi))
+        chain = Chain.from_pairs(pairs)
+        noise = replace(DriftNoise.guess(chain, np.ones((199, 6)), 0.5),
+                        log_variances=2 * np.log([0.001, phi, *[1e-7] * 4]))
+        state = replace(State.start(chain, T_a_b), bodies=pairs.poses_b)
+        found = []
+        for share in (0.0, 1.0):
+            monkeypatch.setattr(consistency, 'UNKNOWN_SHARE', share)
+            found.append(consistency.check_lags(chain, state, noise))
+        differences.append(found[0].difference)
+        squares.append(found[1].covariance - found[0].covariance)
+    mean = np.mean(differences, axis=0)
+    error = np.std(differences, axis=0) / np.sqrt(60)
+    expected = np.sqrt(np.diag(np.mean(squares, axis=0)))
+    assert (expected / error).max() > 10
+    np.testing.assert_array_less(np.abs(np.abs(mean) - expected), 0.1 * expected + 3.5 * error)
+
+
+@pytest.mark.parametrize('of_a', [0.0, 1.0])
+def test_white_noise_at_speed_is_no_disagreement(of_a):
+    """Over steps of six metres two milliradians say more of a motion than the motion does."""
+    times = 0.2 * np.arange(300)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        true = smooth_motion(rng, times, tilt=0.01, turn=0.05)
+        true[:, 0, 3] += 30 * times
+        T_a_b = random_pose(rng)
+        pairs = as_pairs(times, shaken(rng, true, 0.005, 0.002 * of_a),
+                         shaken(rng, true @ T_a_b, 0.005, 0.002))
+        assert estimate(pairs, FIXED).lags.statistic < consistency.SIGNIFICANT
 
 
 def test_evidence_counts_by_degrees():

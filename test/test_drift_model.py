@@ -22,6 +22,7 @@ from trajectory_calibration.solvers.drift.model import (
     corrected_steps,
     linearise,
     PARAMETERS,
+    perturb,
     State,
     TERM_COLUMNS,
 )
@@ -256,7 +257,7 @@ def dense_likelihood(chain, state, noise, columns):
     H = design.T @ W @ design
     P = W - W @ design @ np.linalg.solve(H, design.T @ W)
     objective = (np.linalg.slogdet(R)[1] + np.linalg.slogdet(H)[1] + y @ P @ y)
-    return objective, np.linalg.inv(H)[6 * N:, 6 * N:]
+    return objective, np.linalg.inv(H)[6 * N:, 6 * N:], P
 
 
 @pytest.mark.parametrize('terms', [(), ALL_TERMS])
@@ -264,12 +265,14 @@ def test_likelihood_against_dense_algebra(problem, terms):
     chain, state, noise = problem
     noise = replace(noise, jump_probability=np.zeros((6, 2)))
     columns = columns_of(terms)
-    objective, covariance = dense_likelihood(chain, state, noise, columns)
+    objective, covariance, P = dense_likelihood(chain, state, noise, columns)
     found = evaluate(chain, state, noise, columns)
     # Without jumps what is left of the mixture is the prior of there being none.
     prior = -2 * len(noise.jump_probability) * np.log1p(-noise.jump_share).sum()
     np.testing.assert_allclose(found.objective, objective + prior, rtol=1e-9)
     np.testing.assert_allclose(found.covariance, covariance, rtol=1e-6, atol=1e-12)
+    projected = sum(P[6 * k:6 * k + 6, 6 * k:6 * k + 6] for k in range(7))
+    np.testing.assert_allclose(found.white_projected, projected, rtol=1e-6)
 
 
 def test_score_of_the_variances(problem):
@@ -367,3 +370,7 @@ def test_white_noise_follows_the_lever_arm():
     seen = np.concatenate([moved[:, :3, 3], se3.log_so3(moved[:, :3, :3])], axis=1)
     expected = np.cov((n_b - seen).T)
     np.testing.assert_allclose(noise.white_parts(T_a_b).sum(axis=0), expected, atol=2e-5)
+    numeric = [(noise.white_parts(ahead) - noise.white_parts(behind)).sum(axis=0) / 2e-4
+               for ahead, behind in zip(*(perturb(T_a_b, sign * 1e-4 * np.eye(6)[:3])
+                                          for sign in (1, -1)), strict=True)]
+    np.testing.assert_allclose(noise.white_slopes(T_a_b), numeric, atol=1e-12)

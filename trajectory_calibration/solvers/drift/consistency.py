@@ -10,6 +10,20 @@ The most likely answer is efficient under the model, so that the covariance of t
 that of the lag's answer less its own (J. A. Hausman, Econometrica 46(6), 1978,
 doi:10.2307/1913827). The lag's own is used, which is never too small: in directions that only
 noise excites, on flat ground, both are too small and nothing would be left of their difference.
+
+A motion is known as noisily as its poses are, and that noise is in the disagreement as well
+(errors in variables). With e the disagreement of a motion, M what carries errors from its start
+to its end, ``J = I - M`` the derivative, W weights and ``H = sum J^T W J``, a lag answers
+``-H^-1 sum J^T W e``. Noise y of the poses, in their axes, is ``ad(y_end) M - M ad(y_start)`` of
+J and, where it is b's, ``-(y_end - M y_start)`` of e. Of the mean of ``dJ^T W de`` nothing is left
+but that the rotation noise of the start, s_r, turns where the motion led:
+
+    b = H^-1 (2 s_r^2 sum p, 0),    p the way from start to end in the axes of the start.
+
+That holds however much of the noise the fit has smoothed: the error of the most likely poses is
+not correlated with the data, so that what correlates is what the model takes for part of the
+pose, the noise of b. Which sensor's it is, is not known, and ``UNKNOWN_SHARE b b^T`` is added to
+the covariance; the answer of the lag stays.
 """
 
 from __future__ import annotations
@@ -27,7 +41,7 @@ from trajectory_calibration.solvers.drift.model import (
     linearise,
     State,
 )
-from trajectory_calibration.solvers.drift.noise import Noise
+from trajectory_calibration.solvers.drift.noise import Noise, UNKNOWN_SHARE
 
 # Poses that a motion spans; at least four motions of a lag must fit one after the other.
 LAGS = (1, 2, 5, 10, 20, 50)
@@ -96,6 +110,8 @@ def check_lags(chain: Chain, state: State, noise: Noise) -> LagCheck:
         end = start + lag
         to_end = se3.adjoint(se3.inverse(bodies[end]))
         jacobian = np.eye(6) - to_end @ se3.adjoint(bodies[start])
+        way = bodies[start, :3, :3].transpose(0, 2, 1) @ (
+            bodies[end, :3, 3] - bodies[start, :3, 3])[..., None]
         weighted = _WEIGHTS[:, None] * jacobian
         inverse = np.linalg.pinv(np.tensordot(weighted, jacobian, ((0, 1), (0, 1))), rcond=1e-12)
         # What an error in the world at either end does to the answer.
@@ -107,6 +123,8 @@ def check_lags(chain: Chain, state: State, noise: Noise) -> LagCheck:
         # A step moves all poses after it.
         by_step = -np.cumsum(by_pose, axis=0)[:-1]
         covariance = _gram(by_pose @ white) + _gram(by_step @ walk)
+        bias = inverse[:, :3] @ (2 * noise.variances[1] * way.sum(axis=(0, 2)))
+        covariance += UNKNOWN_SHARE * np.outer(bias, bias)
         checks.append(
             LagCheck(lag, difference, covariance, _chi_squared(difference, covariance)))
     return max(checks, key=lambda check: check.statistic)
@@ -117,9 +135,10 @@ def _disagreement(
 ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return what a and b disagree by at n poses, all of a short drive.
 
-    The indices (n,); b's poses (n, 4, 4) near the origin, whose noise the fit has smoothed; the
-    (n, 6) disagreement, in the axes of the world, up to a constant for each stretch; and roots
-    (n, 6, 6) and (n - 1, 6, 6) of the covariances of white noise and walk in those axes.
+    The indices (n,); b's poses (n, 4, 4) near the origin, with their white noise where the fit
+    found no walk, smoothed where it did; the (n, 6) disagreement, in the axes of the world, up to
+    a constant for each stretch; and roots (n, 6, 6) and (n - 1, 6, 6) of the covariances of white
+    noise and walk in those axes.
     """
     stretches = _stretches(len(chain))
     poses = np.concatenate(stretches)

@@ -6,6 +6,19 @@ at the minimum show it: summed over blocks, their scatter has the model's inform
 expectation, or more where neighbours agree (a sandwich estimate over blocks; H. R. Kuensch,
 Annals of Statistics 17(3), 1989, doi:10.1214/aos/1176347265). Direction by direction the larger
 of the two is reported, and no less than what the lags disagree by (``consistency.py``).
+
+Rotation noise phi of a moves b by the lever arm, ``phi x t``: it is in the residual, and in the
+residual's derivative by t. Half the gradient has therefore, at the truth, not the expectation
+zero but
+
+    E[G^T P e] = tr(P dV/dt) / 2,
+
+V the covariance of a pose, P the projected inverse covariance, and the answer is off by
+``b = -C E[G^T P e]`` on average: a shorter lever arm (errors in variables; W. A. Fuller,
+Measurement Error Models, 1987, section 1.1, doi:10.1002/9780470316665). It is not taken out of
+the answer, because the data do not tell whose rotation noise it is. The share f of a makes it
+``2 f b``: b is that of equal sensors. With every share as likely ``E[(2 f)^2] = 4/3``, and
+``4/3 b b^T`` is added to the covariance.
 """
 
 from __future__ import annotations
@@ -19,6 +32,7 @@ from trajectory_calibration.solvers.drift.averaging import drift_for_scale, Gaus
 from trajectory_calibration.solvers.drift.fit import Fit, scale_covariance
 from trajectory_calibration.solvers.drift.likelihood import BLOCKS, FREE_VARIANCE
 from trajectory_calibration.solvers.drift.model import columns_of, EXTRINSIC
+from trajectory_calibration.solvers.drift.noise import UNKNOWN_SHARE
 from trajectory_calibration.solvers.drift.selection import RIVALS
 
 # How far the scatter of so few blocks may exceed its expectation before it counts in full. The
@@ -67,9 +81,31 @@ def _likelihood(fit: Fit, terms: Sequence[str]) -> Gaussian:
     model = scale_covariance(
         covariance, fit.evaluation.position_traces, columns, fit.state.scale)
     if len(fit.chain) < 2 * BLOCKS:
-        return Gaussian(columns, step, fit.lags.excess * model)
-    gradients = fit.likelihood.gradients(columns, step)
-    return Gaussian(columns, step, _widened(model, gradients, fit.lags.excess))
+        widened = fit.lags.excess * model
+    else:
+        widened = _widened(model, fit.likelihood.gradients(columns, step), fit.lags.excess)
+    bias = lever_arm_bias(fit, covariance)
+    return Gaussian(columns, step, widened + UNKNOWN_SHARE * np.outer(bias, bias))
+
+
+def lever_arm_bias(fit: Fit, covariance: FloatArray) -> FloatArray:
+    """Return the (m,) bias by rotation noise that is equal in both sensors.
+
+    ``covariance`` is the (m, m) of the parameters, right perturbations; directions without
+    information do not move.
+    """
+    slopes = fit.noise.white_slopes(fit.state.T_a_b)
+    gradient = 0.5 * np.tensordot(slopes, fit.evaluation.white_projected, 2)
+    _, root = _split(covariance)
+    return -root @ (root[:3].T @ gradient)
+
+
+def _split(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (m, k) roots of a covariance over directions without information, and the rest."""
+    eigenvalues, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
+    free = eigenvalues > 0.5 * FREE_VARIANCE
+    return root[:, free], root[:, ~free]
 
 
 def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatArray:
@@ -77,11 +113,8 @@ def _widened(model: FloatArray, gradients: FloatArray, excess: float) -> FloatAr
 
     It is at least ``excess`` times as large.
     """
-    eigenvalues, axes = np.linalg.eigh(model)
-    root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     # The gradient along a direction without information is rounding: no scatter to learn from.
-    free = eigenvalues > 0.5 * FREE_VARIANCE
-    open_root, root = root[:, free], root[:, ~free]
+    open_root, root = _split(model)
     sums = gradients @ root
     sums -= sums.mean(axis=0)
     inflation, directions = np.linalg.eigh(sums.T @ sums * BLOCKS / (BLOCKS - 1))

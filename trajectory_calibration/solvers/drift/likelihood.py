@@ -66,6 +66,7 @@ class Evaluation:
     walk_squares, walk_spread : (N - 1, 2), of the expected walk of each step, translation and
         rotation: squared length, and trace of the posterior covariance.
     score, score_information : (6,) and (6, 6), by the log variances.
+    white_projected : (6, 6), the blocks of P of the observations of each pose, summed.
     sensitivity : (m, 6), derivative of the global parameters' step by the log variances.
     position_traces : tr(P R) over the translation noise of white and walk together.
     leverage : (N - 1, 2, m), of a unit of precision of each step, translation and rotation, to it.
@@ -80,6 +81,7 @@ class Evaluation:
     walk_spread: FloatArray
     score: FloatArray
     score_information: FloatArray
+    white_projected: FloatArray
     sensitivity: FloatArray
     position_traces: float
     leverage: FloatArray
@@ -243,7 +245,8 @@ class _Evaluator:
         solved = self.solve()
         posterior = self.posterior(
             solved.system, solved.response, solved.step, solved.covariance)
-        score, traces = self.score(posterior)
+        white_projected = self.white_projected(posterior)
+        score, traces = self.score(posterior, white_projected)
         information, sensitivity = self.score_information(
             solved.system, solved.response, solved.covariance, posterior)
         return Evaluation(
@@ -255,6 +258,7 @@ class _Evaluator:
             walk_spread=posterior.walk_spread,
             score=score,
             score_information=information,
+            white_projected=white_projected,
             sensitivity=sensitivity,
             position_traces=traces,
             leverage=posterior.leverage,
@@ -352,20 +356,25 @@ class _Evaluator:
         squares = (walked**2).reshape(-1, 2, 3).sum(axis=2)
         return _Posterior(observed, walked, squares, spread, white_spread, leverage)
 
-    def score(self, posterior: _Posterior) -> tuple[FloatArray, float]:
-        """Return the (6,) score by the log variances and tr(P R) of the translations."""
-        N = len(self.chain)
-        score = np.empty(len(COMPONENTS))
+    def white_projected(self, posterior: _Posterior) -> FloatArray:
+        """Return the (6, 6) sum over the poses of their own blocks of P."""
         W = self.white_precision
-        weighted = posterior.observed @ W
-        excess = N * W - W @ posterior.white_spread @ W
+        projected: FloatArray = len(self.chain) * W - W @ posterior.white_spread @ W
+        return projected
+
+    def score(
+        self, posterior: _Posterior, white_projected: FloatArray,
+    ) -> tuple[FloatArray, float]:
+        """Return the (6,) score by the log variances and tr(P R) of the translations."""
+        score = np.empty(len(COMPONENTS))
+        weighted = posterior.observed @ self.white_precision
         energy = weighted.T @ weighted
         for i, part in enumerate(self.white_parts):
-            score[i] = np.sum((excess - energy) * part)
+            score[i] = np.sum((white_projected - energy) * part)
         expected = posterior.walk_squares + posterior.walk_spread
         common = (1 - self.noise.jump_probability) * (3 - expected / self.narrow) / self.narrow
         score[WHITE:] = np.einsum('ckj,kj->cj', self.walk_parts, common).ravel()
-        traces = np.sum(excess * self.white_parts[0])
+        traces = np.sum(white_projected * self.white_parts[0])
         traces += np.sum(3 - posterior.walk_spread[:, 0] * self.walk_precision[:, 0])
         return score, float(traces)
 

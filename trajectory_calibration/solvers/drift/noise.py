@@ -43,6 +43,9 @@ _JUMP_TO_WHITE = 8.0
 _PRIOR_JUMPS, _PRIOR_STEPS = 0.2, 20.0
 # Rounds of expectation and maximisation of the jumps in each iteration.
 _ROUNDS = 3
+# Noise of rotation is taken to be half of each sensor's. What is the doing of one of them alone is
+# f / (1/2) times as large, f its share; the mean square of that, every share being as likely.
+UNKNOWN_SHARE = 4 / 3
 # The median of chi-squared with three degrees of freedom.
 _CHI2_MEDIAN = 2.366
 
@@ -116,6 +119,20 @@ class Noise:
         parts[1] = lever @ lever.T
         parts[1, 3:, 3:] += np.eye(3)
         return self.variances[:WHITE, None, None] * parts
+
+    def white_slopes(self, T_a_b: FloatArray) -> FloatArray:
+        """Return the (3, 6, 6) derivatives of the white covariance by t, along the axes of b.
+
+        Only the lever arm is in it, u in the axes of b: ``s_r^2 [u]x [u]x^T`` of the positions
+        and ``-s_r^2 [u]x`` between them and the rotations. A turn of b turns the axes alone.
+        """
+        lever = se3.skew(T_a_b[:3, :3].T @ T_a_b[:3, 3])
+        axes = se3.skew(np.eye(3))
+        slopes = np.zeros((3, 6, 6))
+        slopes[:, :3, :3] = axes @ lever.T + lever @ axes.transpose(0, 2, 1)
+        slopes[:, :3, 3:] = -axes
+        slopes[:, 3:, :3] = axes
+        return float(self.variances[1]) * slopes
 
     def walk_parts(self) -> FloatArray:
         """Return (2, N - 1, 2): variance of a step by length, by angle; translation, rotation."""
