@@ -126,6 +126,18 @@ def test_a_path_of_another_drive_that_is_dropped_is_named(tmp_path):
         'is used; calibrate each bag by itself')
 
 
+def test_a_path_that_began_anew_within_a_bag_is_named(tmp_path):
+    """A SLAM that lost its track begins a path of its own."""
+    stamps_ns, poses = make_track(9)
+    with BagFile(tmp_path / 'bag') as bag:
+        for k, (first, last) in enumerate([(0, 3), (0, 6), (6, 7), (6, 9)]):
+            part = slice(first, last)
+            bag.add('/path', bag.messages.path(stamps_ns[part], poses[part]), 1000 + k)
+    trajectory = BagSource([tmp_path / 'bag'], '/path').load()
+    _expect(trajectory, stamps_ns[6:], poses[6:])
+    assert '1 earlier paths with 6 poses of another time: dropped' in trajectory.warnings[0]
+
+
 def test_blocks_are_joined(tmp_path):
     """More messages than one block holds, with frame ids that change the length between."""
     stamps_ns, poses = make_track(9000)

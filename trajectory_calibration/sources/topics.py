@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,7 +143,10 @@ class TopicCollector:
             # A SLAM publishes its whole optimised path again and again: the last one counts, but
             # for one without a usable pose. Paths grow: only a shorter one is looked into.
             shorter = bool(self._waiting) and len(message) < len(self._waiting[0])
-            if not shorter or self._is_usable(message):
+            path = self._path(message) if shorter else None
+            if not shorter or (path is not None and _is_usable(path)):
+                if path is not None:
+                    self._set_apart(int(path.stamps_ns.min()))
                 self._waiting, self._received = [message], [received_ns]
             return
         self._waiting.append(message)
@@ -154,7 +157,9 @@ class TopicCollector:
     def track(self) -> TopicTrack:
         """Return everything that was taken."""
         if self._msgtype == cdr.PATH:
-            return self._path_track()
+            last = self._path_track()
+            parts = [*self._parts, last]
+            return join_tracks(self._topic, self._msgtype, parts) if self._parts else last
         self._flush()
         return join_tracks(self._topic, self._msgtype, self._parts)
 
@@ -183,10 +188,11 @@ class TopicCollector:
             block.stamps_ns[read], np.array(received, dtype=np.int64)[read], block.poses[read],
             block.frame_index[read], tuple(block.frames)))
 
-    def _is_usable(self, message: bytes) -> bool:
-        path = self._path(message)
-        return path is not None and not np.all(
-            np.any([path.stamps_ns == 0, *pose_faults(path.poses)], axis=0))
+    def _set_apart(self, start_ns: int) -> None:
+        """Keep the path that is held as one of its own where the next one begins after it."""
+        held = self._path_track()
+        if len(held.poses) and held.stamps_ns.max() < start_ns:
+            self._parts.append(replace(held, messages=0))
 
     def _path(self, message: bytes) -> cdr.PathPoses | None:
         path = None if self._ros1 else cdr.parse_path(message)
@@ -210,10 +216,15 @@ class TopicCollector:
         return self._deserialiser
 
 
+def _is_usable(path: cdr.PathPoses) -> bool:
+    return not np.all(np.any([path.stamps_ns == 0, *pose_faults(path.poses)], axis=0))
+
+
 def join_tracks(
     topic: str, msgtype: str, parts: Sequence[TopicTrack], warnings: tuple[str, ...] = (),
 ) -> TopicTrack:
     """Put the parts of one topic from several files together, in the order of reception."""
+    warnings += tuple(text for part in parts for text in part.warnings)
     filled = sorted((part for part in parts if len(part.poses)),
                     key=lambda part: int(part.received_ns[0]))
     if msgtype == cdr.PATH:
