@@ -202,6 +202,62 @@ def test_white_noise_at_speed_is_no_disagreement(of_a):
         assert estimate(pairs, FIXED).lags.statistic < consistency.SIGNIFICANT
 
 
+def bounded(seed, memory):
+    """Return pairs of two minutes with errors of 2 mm and 2 mrad that go on for so many poses."""
+    pairs, _ = simulated(seed, poses=600, white=(0.005, 0.0005))
+    rng = np.random.default_rng(seed)
+    poses_a, poses_b = (coloured(rng, poses, 0.002, np.exp(-1 / memory))
+                        for poses in (pairs.poses_a, pairs.poses_b))
+    return PosePairs(pairs.stamps_ns, poses_a, poses_b, pairs.summary)
+
+
+@pytest.mark.parametrize('memory', [25, 40])
+def test_errors_that_do_not_accumulate_are_named(memory):
+    told = []
+    for seed in range(6):
+        fit = estimate(bounded(500 + seed, memory), FIXED)
+        told.append(consistency.check_walk(fit.chain, fit.state, fit.noise).is_bounded)
+    assert sum(told) >= 4
+    texts = [text for text in solve_pairs(bounded(500, memory), FIXED).warnings
+             if 'do not add up as a walk would' in text]
+    assert len(texts) == told[0]
+
+
+def test_a_walk_accumulates():
+    """The mean square has the distribution that is assumed; nothing else is taken for bounded."""
+    chances = []
+    for seed in range(40):
+        pairs, _ = simulated(600 + seed, white=(0.005, 0.0005), walk=(0.01, 0.002))
+        fit = estimate(pairs, FIXED)
+        check = consistency.check_walk(fit.chain, fit.state, fit.noise)
+        assert check.walk_share > 0.8
+        assert not check.is_bounded
+        chances.append(check.probability)
+    below = np.mean(np.array(chances)[:, None] < [0.1, 0.5, 0.9], axis=0)
+    # Within three standard deviations of 40 draws.
+    np.testing.assert_allclose(below, [0.1, 0.5, 0.9], atol=0.2)
+
+
+def test_white_noise_and_rounding_are_no_walk_that_is_bounded():
+    for white, jumps in (((0.01, 0.005), ()), ((0.0, 0.0), ((40, 0.3), (41, -0.3)))):
+        pairs, _ = simulated(7, white=white, jumps=jumps)
+        fit = estimate(pairs, FIXED)
+        check = consistency.check_walk(fit.chain, fit.state, fit.noise)
+        assert check.walk_share < 0.1
+        assert check.warnings() == ()
+    short = estimate(simulated(7, poses=30, walk=(0.01, 0.002))[0], FIXED)
+    assert consistency.check_walk(short.chain, short.state, short.noise) is None
+
+
+def test_a_long_drive_is_asked_in_stretches(monkeypatch):
+    monkeypatch.setattr(consistency, '_STRETCH', 70)
+    pairs, _ = simulated(31, poses=600, white=(0.005, 0.0005), walk=(0.01, 0.002))
+    fit = estimate(pairs, FIXED)
+    check = consistency.check_walk(fit.chain, fit.state, fit.noise)
+    assert not check.is_bounded
+    assert 0.5 < check.ratio < 1.5
+
+
 def test_evidence_counts_by_degrees():
     def excess(statistic):
         return consistency.LagCheck(1, np.zeros(6), np.eye(6), statistic).excess

@@ -19,6 +19,7 @@ from trajectory_calibration.config import CalibrationConfig
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.motions import MotionPairs
 from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.solvers.drift.consistency import check_walk
 from trajectory_calibration.solvers.drift.covariance import (
     extrinsic_covariance,
     in_parent_axes,
@@ -88,7 +89,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         iterations=fit.iterations,
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
         warnings=(
-            *warnings_of(diagnosis), *fit.lags.warnings(fit.state.T_a_b), *_unsettled(fit)),
+            *warnings_of(diagnosis), *fit.lags.warnings(fit.state.T_a_b), *_bounded(fit),
+            *_unsettled(fit)),
         scale=unit * fit.state.scale,
         time_offset_s=fit.state.time_offset,
         diagnosis=diagnosis,
@@ -126,6 +128,12 @@ def _unit(pairs: PosePairs) -> float:
     pairs = pairs.thinned(max(1, len(pairs) // COARSE))
     rest = dict.fromkeys(TERM_COLUMNS, 'fixed')
     return unit * estimate(pairs.scaled(unit), {**rest, 'scale': 'estimate'}).state.scale
+
+
+def _bounded(fit: Fit) -> tuple[str, ...]:
+    """Return a warning where the walk that was identified does not accumulate."""
+    check = check_walk(fit.chain, fit.state, fit.noise)
+    return () if check is None else check.warnings()
 
 
 def _unsettled(fit: Fit) -> tuple[str, ...]:

@@ -24,6 +24,13 @@ That holds however much of the noise the fit has smoothed: the error of the most
 not correlated with the data, so that what correlates is what the model takes for part of the
 pose, the noise of b. Which sensor's it is, is not known, and ``UNKNOWN_SHARE b b^T`` is added to
 the covariance; the answer of the lag stays.
+
+Lags do not show errors that stay the same in the sensor for seconds, and are bounded: to all of
+them that is another extrinsic. A walk is identified from how fast such errors change, and then
+they do not accumulate. ``check_walk`` compares what the rotations disagree by over a quarter of
+the drive with what white noise and walk make of it. The mean square is a quadratic form of normal
+variables and taken for chi-squared with as many degrees of freedom as its variance says (F. E.
+Satterthwaite, Biometrics Bulletin 2(6), 1946, doi:10.2307/3002019).
 """
 
 from __future__ import annotations
@@ -31,6 +38,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtr
 
 from trajectory_calibration import se3
 from trajectory_calibration.se3 import FloatArray
@@ -41,7 +49,7 @@ from trajectory_calibration.solvers.drift.model import (
     linearise,
     State,
 )
-from trajectory_calibration.solvers.drift.noise import Noise, UNKNOWN_SHARE
+from trajectory_calibration.solvers.drift.noise import Noise, UNKNOWN_SHARE, WHITE
 
 # Poses that a motion spans; at least four motions of a lag must fit one after the other.
 LAGS = (1, 2, 5, 10, 20, 50)
@@ -52,6 +60,12 @@ _STRETCHES, _STRETCH = 8, 2500
 # hundred: with six lags, one data set in fifty would be suspected wrongly. Between the two the
 # evidence counts by degrees, so that no answer hangs on which side of a limit it falls.
 _DOUBTFUL, SIGNIFICANT = 14.45, 19.55
+# The walk is judged over this share of the drive, by as many motions, where at least so much of
+# what they should disagree by is the walk's, and a quarter has so many poses.
+_SPAN, _SPANNING, _WALK_SHARE, _SHORTEST = 0.25, 200, 0.5, 10
+# It does not accumulate where chance makes it so small once in a hundred, and no more than half
+# of the mean square is there: what else a model has wrong is no news.
+_TOO_SMALL, _LARGEST_RATIO = 0.01, 0.5
 # Weights of square metres and square radians: nine entries of a rotation move by sqrt(2) a radian.
 _WEIGHTS = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 
@@ -128,6 +142,80 @@ def check_lags(chain: Chain, state: State, noise: Noise) -> LagCheck:
         checks.append(
             LagCheck(lag, difference, covariance, _chi_squared(difference, covariance)))
     return max(checks, key=lambda check: check.statistic)
+
+
+@dataclass(frozen=True)
+class WalkCheck:
+    """Whether the rotations drift apart over a quarter of the drive as the walk would have it.
+
+    Attributes
+    ----------
+    ratio : mean square of what they disagree by, divided by what the noise predicts.
+    probability : that noise of the model has a ratio as small.
+    walk_share : of what is predicted; the rest is white noise.
+    disagreement : root of the mean square, radians.
+
+    """
+
+    ratio: float
+    probability: float
+    walk_share: float
+    disagreement: float
+
+    @property
+    def is_bounded(self) -> bool:
+        """Tell whether a walk was identified that does not accumulate."""
+        return (self.walk_share > _WALK_SHARE and self.probability < _TOO_SMALL
+                and self.ratio < _LARGEST_RATIO)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return a sentence where the errors are bounded."""
+        if not self.is_bounded:
+            return ()
+        degrees = np.rad2deg(self.disagreement)
+        sentence = (
+            'the errors of the two do not add up as a walk would: over a quarter of the drive '
+            f'their rotations part by {degrees:.2g} deg instead of '
+            f'{degrees / np.sqrt(self.ratio):.2g}; they are bounded and go on for seconds, as of '
+            'GNSS/INS or of a SLAM with loop closures, and the stated deviations may be several '
+            'times too small: compare the answers of several drives')
+        return (sentence,)
+
+
+def check_walk(chain: Chain, state: State, noise: Noise) -> WalkCheck | None:
+    """Compare long motions with the walk that was identified; None where the drive is short."""
+    _, _, disagreement, _, _ = _disagreement(chain, state, noise)
+    # Steps that jump have no part in it: a pose that is wrong jumps away and back.
+    # What is held at its limit so that the equations can be solved was not found in the data.
+    found = (noise.log_variances > noise.lowest())[WHITE + 1::2]
+    variance = found @ noise.walk_parts()[:, :, 1]
+    white = 2 * float(noise.variances[1])
+    squares = expected = by_walk = spread = 0.0
+    count = 0
+    first = 0
+    for part in _stretches(len(chain)):
+        n = len(part)
+        span = int(_SPAN * n)
+        if span < _SHORTEST:
+            return None
+        rotation = disagreement[first:first + n, 3:]
+        first += n
+        walked = np.concatenate([[0.0], np.cumsum(variance[part[:-1]])])
+        start = np.unique(np.linspace(0, n - span - 1, _SPANNING).astype(np.intp))
+        end = start + span
+        squares += float(np.square(rotation[end] - rotation[start]).sum())
+        # Of two motions: the walk of the steps in both, and the noise of ends in both.
+        common = np.maximum(
+            walked[np.minimum.outer(end, end)] - walked[np.maximum.outer(start, start)], 0.0)
+        by_walk += 3 * float(np.trace(common))
+        common += white * (2.0 * np.eye(len(start)) - np.equal.outer(start, end)
+                           - np.equal.outer(end, start))
+        expected += 3 * float(np.trace(common))
+        spread += 3 * float(np.square(common).sum())
+        count += len(start)
+    ratio, freedom = squares / expected, expected**2 / spread
+    return WalkCheck(ratio, float(chdtr(freedom, freedom * ratio)), by_walk / expected,
+                     float(np.sqrt(squares / count)))
 
 
 def _disagreement(
