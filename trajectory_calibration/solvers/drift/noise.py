@@ -43,8 +43,8 @@ _JUMP_TO_WHITE = 8.0
 _PRIOR_JUMPS, _PRIOR_STEPS = 0.2, 20.0
 # Rounds of expectation and maximisation of the jumps in each iteration.
 _ROUNDS = 3
-# Noise of rotation is taken to be half of each sensor's. What is the doing of one of them alone is
-# f / (1/2) times as large, f its share; the mean square of that, every share being as likely.
+# The model takes half of the rotation noise for each sensor's. An effect of one of them alone is
+# 2 f times as large, f its share of the noise: the mean of the square, every share as likely.
 UNKNOWN_SHARE = 4 / 3
 # The median of chi-squared with three degrees of freedom.
 _CHI2_MEDIAN = 2.366
