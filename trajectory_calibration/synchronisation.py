@@ -205,7 +205,7 @@ def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | N
     step_a_s = turning.a.usual_step_ns * 1e-9
     widest = _REACH_CELLS * cell_s
     last = min(max(_LAST_REACH_STEPS * step_a_s, _LAST_REACH_CELLS * cell_s), widest)
-    shift, curvature, turned = 0.0, 0.0, float(np.sum(turning.of_b**2))
+    shift, curvature = 0.0, 0.0
     for reach_s in [widest] * _PARABOLAS + [last] * _PARABOLAS:
         around = np.linspace(-1.0, 1.0, _POINTS)
         values, noise = np.transpose([_disagreement(turning, shift + reach_s * d) for d in around])
@@ -215,7 +215,7 @@ def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | N
         square, slope, *_ = np.linalg.lstsq(columns, values, rcond=_FLAT)[0]
         curvature, slope = 2 * float(square) / reach_s**2, float(slope) / reach_s
         # Who turns at a constant rate agrees at any offset, but for rounding.
-        if curvature * reach_s**2 <= ROUNDING * turned:
+        if curvature * reach_s**2 <= ROUNDING * turning.turned:
             return None
         shift -= slope / curvature
         if abs(shift) > widest:
@@ -236,7 +236,7 @@ def _disagreement(turning: Turning, shift_s: float) -> tuple[float, float]:
     M = turned_a.T @ turning.of_b
     singular = np.linalg.svd(M, compute_uv=False)
     gain = singular.sum() - 2 * singular[2] * (np.linalg.det(M) < 0)
-    return float(np.sum(turned_a**2) + np.sum(turning.of_b**2) - 2 * gain), noise
+    return float(np.sum(turned_a**2) + turning.turned - 2 * gain), noise
 
 
 def _no_better_than_none(turning: Turning, valley: _Valley, start_ns: int) -> _Valley:

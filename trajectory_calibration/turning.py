@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,11 @@ class Turning:
 
     def __len__(self) -> int:
         return len(self.of_b)
+
+    @cached_property
+    def turned(self) -> float:
+        """Return the sum of the squared rotations of b, squared radians."""
+        return float(np.sum(self.of_b**2))
 
     def of_a(self, shift_ns: int = 0, drift: float = 0.0) -> FloatArray:
         """Return the (K, 3) rotation vectors of a, in its axes, over the moved windows.

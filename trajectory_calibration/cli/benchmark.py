@@ -9,9 +9,12 @@ from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from trajectory_calibration.cli.options import add_config_options, config_from_arguments
+from trajectory_calibration.cli.options import (
+    add_config_options,
+    config_from_arguments,
+    require_two,
+)
 from trajectory_calibration.cli.progress import progress_bar
-from trajectory_calibration.errors import ConfigError
 
 if TYPE_CHECKING:
     from trajectory_calibration.benchmark.executor import Executor
@@ -114,8 +117,7 @@ def run_repeat(arguments: argparse.Namespace) -> int:
         scatter,
     )
     config = config_from_arguments(arguments)
-    if arguments.a == arguments.b:
-        raise ConfigError(f'A and B are both {arguments.a}; needed two sensors')
+    require_two(arguments.a, arguments.b)
     tasks = [BagTask(bag, arguments.a, arguments.b, config) for bag in arguments.bags]
     writer = csv.writer(sys.stdout, lineterminator='\n')
     writer.writerow(item.name for item in fields(BagRecord))

@@ -6,7 +6,11 @@ import argparse
 import json
 from pathlib import Path
 
-from trajectory_calibration.cli.options import add_config_options, config_from_arguments
+from trajectory_calibration.cli.options import (
+    add_config_options,
+    config_from_arguments,
+    require_two,
+)
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.pipeline import calibrate
@@ -72,8 +76,7 @@ def _read_truth(path: Path) -> FloatArray:
 
 def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
     """Read A and B."""
-    if arguments.a == arguments.b:
-        raise ConfigError(f'A and B are both {arguments.a}; needed two sensors')
+    require_two(arguments.a, arguments.b)
     if arguments.bag:
         return _load_topics(arguments)
     if _same_file(arguments.a, arguments.b):
