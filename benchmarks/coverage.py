@@ -12,12 +12,13 @@ import argparse
 
 import numpy as np
 
-from trajectory_calibration import CalibrationConfig, se3
-from trajectory_calibration.association import associate
-from trajectory_calibration.motions import select_motions
+from trajectory_calibration import CalibrationConfig
+from trajectory_calibration.assessment.covariance import estimate_uncertainty
+from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import Noise, Scenario, SCENARIOS, simulate, with_noise
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.uncertainty import estimate_uncertainty
+from trajectory_calibration.time_alignment.pairing import associate
 
 WALK = Noise(white=0.001, walk=0.02, walk_rotation=0.01)
 COLOURED = Noise(white=0.002, coloured=0.01, coloured_rotation=0.005, coloured_time=1.0)

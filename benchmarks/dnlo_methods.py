@@ -13,13 +13,13 @@ import time
 
 import numpy as np
 
+from benchmarks.paper.kitti import paper_pairs, PUBLISHED_C, STATED_C
+from benchmarks.paper.published import read_kitti, SEQUENCES, simulation_runs
 from trajectory_calibration import CalibrationConfig
-from trajectory_calibration.association import associate_by_interpolation
-from trajectory_calibration.benchmark.kitti import paper_pairs, PUBLISHED_C, STATED_C
-from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES, simulation_runs
-from trajectory_calibration.metrics import absolute_errors
-from trajectory_calibration.motions import select_motions
+from trajectory_calibration.assessment.metrics import absolute_errors
+from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
 
 METHODS = ('ipopt', 'path', 'alternating', 'auto')
 REFERENCES = ('B1', 'B5', 'B10', 'C5', 'C10')

@@ -24,11 +24,11 @@ import time
 
 import numpy as np
 
-from trajectory_calibration import calibrate, se3, Trajectory
-from trajectory_calibration.association import associate, associate_nearest
-from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES, simulation_runs
-from trajectory_calibration.benchmark.tasks import HARDEST
-from trajectory_calibration.metrics import absolute_errors
+from benchmarks.paper.published import read_kitti, SEQUENCES, simulation_runs
+from benchmarks.paper.tasks import HARDEST
+from trajectory_calibration import calibrate, Trajectory
+from trajectory_calibration.assessment.metrics import absolute_errors
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import (
     Noise,
     peaks,
@@ -39,7 +39,8 @@ from trajectory_calibration.simulation import (
     Wander,
     with_noise,
 )
-from trajectory_calibration.solvers.drift_aware import solve_pairs
+from trajectory_calibration.solvers.drift_aware.solver import solve_pairs
+from trajectory_calibration.time_alignment.pairing import associate, associate_nearest
 
 TERMS = ('scale', 'systematic_drift', 'time_offset')
 AUTO = dict.fromkeys(TERMS, 'auto')

@@ -17,21 +17,16 @@ from time import thread_time
 
 import numpy as np
 
+from benchmarks.paper.environment import describe_machine, describe_versions
+from benchmarks.paper.kitti import paper_pairs
+from benchmarks.paper.published import read_kitti, SEQUENCES, simulation_runs
+from benchmarks.paper.tasks import HARDEST, published_tasks, SETTINGS, simulated_tasks
 from trajectory_calibration import CalibrationConfig, CalibrationError
-from trajectory_calibration.association import associate_by_interpolation
-from trajectory_calibration.benchmark.environment import describe_machine, describe_versions
-from trajectory_calibration.benchmark.executor import Executor
-from trajectory_calibration.benchmark.kitti import paper_pairs
-from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES, simulation_runs
-from trajectory_calibration.benchmark.tasks import (
-    HARDEST,
-    published_tasks,
-    SETTINGS,
-    simulated_tasks,
-)
-from trajectory_calibration.metrics import absolute_errors
-from trajectory_calibration.motions import select_motions
+from trajectory_calibration.assessment.metrics import absolute_errors
+from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
 
 OURS = ('park', 'zhuang', 'dnl', 'dnlo', 'drift_aware')
 PACKAGES = {'cv2': 'opencv-python-headless', 'kinhec': 'kinhec'}

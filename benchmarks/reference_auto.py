@@ -14,14 +14,14 @@ import time
 
 import numpy as np
 
+from benchmarks.paper.published import simulation_runs
+from benchmarks.paper.tasks import HARDEST
 from trajectory_calibration import CalibrationConfig
-from trajectory_calibration.association import associate, associate_nearest
-from trajectory_calibration.benchmark.published import simulation_runs
-from trajectory_calibration.benchmark.tasks import HARDEST
-from trajectory_calibration.motions import select_motions
-from trajectory_calibration.reference import choose_reference
+from trajectory_calibration.assessment.reference_selection import choose_reference
+from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.time_alignment.pairing import associate, associate_nearest
 
 FIXED = ('A', 'B1', 'B2', 'B3', 'B5', 'B8', 'B10', 'B15', 'B20', 'C5', 'C10')
 FIRST_SEED = 20_000

@@ -14,13 +14,14 @@ import time
 
 import numpy as np
 
-from trajectory_calibration import CalibrationConfig, se3, Trajectory
-from trajectory_calibration.association import associate_by_interpolation
-from trajectory_calibration.benchmark.environment import describe_machine, describe_versions
-from trajectory_calibration.benchmark.kitti import paper_pairs
-from trajectory_calibration.benchmark.published import read_kitti, SEQUENCES
-from trajectory_calibration.motions import select_motions
+from benchmarks.paper.environment import describe_machine, describe_versions
+from benchmarks.paper.kitti import paper_pairs
+from benchmarks.paper.published import read_kitti, SEQUENCES
+from trajectory_calibration import CalibrationConfig, Trajectory
+from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
 
 SOLVERS = {
     'park': {}, 'taylor': {}, 'zhuang': {}, 'ali': {}, 'dnl': {}, 'dnlo': {},

@@ -12,17 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajectory_calibration import (
-    association,
-    calibrate,
-    CalibrationConfig,
-    matching,
-    se3,
-    Trajectory,
-)
-from trajectory_calibration.interpolation import left_of
+from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_noise
-from trajectory_calibration.synchronisation import Clock
+from trajectory_calibration.time_alignment import align as matching
+from trajectory_calibration.time_alignment import pairing as association
+from trajectory_calibration.time_alignment.clock_offset import Clock
 
 CUBIC, SYNCHRONISE = association.interpolate, matching.synchronise
 NOISES = {

@@ -20,8 +20,8 @@ import time
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.metrics import absolute_errors
+from trajectory_calibration.assessment.metrics import absolute_errors
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.simulation.files import write_bag, write_transform
 

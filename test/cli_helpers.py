@@ -3,8 +3,8 @@
 from bag_writing import BagFile
 import numpy as np
 
-from trajectory_calibration import se3
 from trajectory_calibration.cli.main import main
+from trajectory_calibration.geometry import se3
 
 X = se3.from_rotation_translation(se3.exp_so3([0.3, -1.2, 2.0]), [0.334, -0.005, -0.076])
 

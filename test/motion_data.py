@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from trajectory_calibration import se3, Trajectory
+from trajectory_calibration import Trajectory
+from trajectory_calibration.geometry import se3
 
 STEP_NS = 100_000_000
 

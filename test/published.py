@@ -2,8 +2,8 @@
 
 from functools import lru_cache
 
-from trajectory_calibration.benchmark import published
-from trajectory_calibration.benchmark.published import SEQUENCES
+from benchmarks.paper import published
+from benchmarks.paper.published import SEQUENCES
 
 __all__ = [
     'REFERENCES',

@@ -36,7 +36,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from trajectory_calibration import se3
+from trajectory_calibration.geometry import se3
 
 __all__ = [
     'Client', 'Clock', 'DescribeParameters', 'DiagnosticArray', 'Future', 'GetParameters',

@@ -18,7 +18,7 @@ from trajectory_calibration import (
     Trajectory,
     TrajectoryError,
 )
-from trajectory_calibration.config import Option
+from trajectory_calibration.config.settings import Option
 
 
 @pytest.fixture(scope='module')

@@ -5,7 +5,9 @@ each of them thinks it went. Only NumPy is imported here; CasADi, SciPy and ROS 
 are used.
 """
 
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.assessment.metrics import AbsoluteErrors, RelativeErrors
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import (
     AssociationError,
     CalibrationError,
@@ -17,10 +19,8 @@ from trajectory_calibration.errors import (
     TopicError,
     TrajectoryError,
 )
-from trajectory_calibration.metrics import AbsoluteErrors, RelativeErrors
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.trajectory import Trajectory
 from trajectory_calibration.version import __version__
 
 __all__ = [

@@ -7,22 +7,22 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from trajectory_calibration.agreement import parted_steps, require_agreement
-from trajectory_calibration.association import AssociationSummary
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.assessment.covariance import estimate_uncertainty
+from trajectory_calibration.assessment.input_checks import parted_steps, require_agreement
+from trajectory_calibration.assessment.metrics import relative_errors
+from trajectory_calibration.assessment.observability import observe, require_observed
+from trajectory_calibration.assessment.prior_update import apply_prior, contradictions
+from trajectory_calibration.assessment.reference_selection import choose_reference
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.data.plausibility import position_doubts, time_doubts
+from trajectory_calibration.data.pose_pairs import AssociationSummary
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import MotionError, SolverError, TrajectoryError
-from trajectory_calibration.matching import match
-from trajectory_calibration.metrics import relative_errors
-from trajectory_calibration.motions import select_motions
-from trajectory_calibration.observability import observe, require_observed
-from trajectory_calibration.priors import apply_prior, contradictions
-from trajectory_calibration.reference import choose_reference
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.synchronisation import Clock
-from trajectory_calibration.trajectory import Trajectory
-from trajectory_calibration.uncertainty import estimate_uncertainty
-from trajectory_calibration.units import position_doubts, time_doubts
+from trajectory_calibration.time_alignment.align import match
+from trajectory_calibration.time_alignment.clock_offset import Clock
 
 # Beyond this share of poses of b without a partner, the result warns: too much was not used.
 _UNPAIRED_SHARE = 0.1

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-import errno
-from io import StringIO
 import os
 from pathlib import Path
 import re
-from secrets import token_hex
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trajectory_calibration import se3
-from trajectory_calibration.association import AssociationSummary
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.assessment.metrics import (
+    absolute_errors,
+    AbsoluteErrors,
+    RelativeErrors,
+)
+from trajectory_calibration.assessment.observability import Observability
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.data.pose_pairs import AssociationSummary
+from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
 from trajectory_calibration.errors import CalibrationError, ResultError
-from trajectory_calibration.metrics import absolute_errors, AbsoluteErrors, RelativeErrors
-from trajectory_calibration.observability import Observability
-from trajectory_calibration.reading import read_yaml
-from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.trajectory import ROTATION_TOLERANCE
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
@@ -222,64 +223,6 @@ class CalibrationResult:
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no calibration result; needed what save() wrote')
         return cls.from_dict(data)
-
-
-def to_yaml(data: dict[str, Any]) -> str:
-    """Return plain data as YAML, keys in their own order."""
-    # Loads here because most uses of a result never touch YAML.
-    from ruamel.yaml import YAML
-    yaml = YAML(typ='safe', pure=True)
-    yaml.representer.sort_base_mapping_type_on_output = False
-    yaml.default_flow_style = None
-    yaml.width = 99
-    stream = StringIO()
-    yaml.dump(data, stream)
-    return stream.getvalue()
-
-
-def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> None:
-    """Write plain data as YAML through a temporary file in the same folder and a rename.
-
-    Without ``overwrite``, the name of the temporary file is a claim to ``path``: of several
-    processes one gets it. A claim that a power cut left behind stays, and so does the name.
-
-    Raises
-    ------
-    FileExistsError
-        Without ``overwrite``: the file exists, or another process is writing it.
-    ResultError
-        The file cannot be written.
-
-    """
-    created = False
-    try:
-        temporary = path.with_name(f'.{path.name}.{token_hex(8) if overwrite else "new"}')
-        # Not through ``tempfile``, whose files are private: the kernel gives this one the
-        # permissions of any new file of this user.
-        with temporary.open('x', encoding='utf-8') as stream:
-            created = True
-            if not overwrite:
-                _require_absent(path)
-            stream.write(to_yaml(data))
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        created = False
-    except FileExistsError:
-        raise
-    except OSError as error:
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
-    except ValueError as error:
-        # A path without a name, or with a zero byte in it.
-        raise ResultError(f'{str(path)!r} cannot be written: {error}') from error
-    finally:
-        if created:
-            temporary.unlink(missing_ok=True)
-
-
-def _require_absent(path: Path) -> None:
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 def _of_kind(kind: type[_T], value: Any) -> _T:

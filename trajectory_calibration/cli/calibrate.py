@@ -12,14 +12,14 @@ from trajectory_calibration.cli.options import (
     require_two,
 )
 from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_yaml
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
+from trajectory_calibration.outputs.screen import format_result
 from trajectory_calibration.pipeline import calibrate
-from trajectory_calibration.report.text import format_result
-from trajectory_calibration.result import CalibrationResult, to_yaml, write_yaml
-from trajectory_calibration.se3 import FloatArray, rotation_to_quaternion
+from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
-from trajectory_calibration.trajectory import Trajectory
-from trajectory_calibration.writing import write_text
 
 RESULT_FILE = 'result.yaml'
 TRANSFORM_FILE = 'T_a_b.txt'

@@ -10,8 +10,8 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import SourceError
-from trajectory_calibration.report.inspection import inspect_trajectory
-from trajectory_calibration.report.text import format_inspection
+from trajectory_calibration.outputs.inspection import inspect_trajectory
+from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.sources.files import FileSource, FORMATS, is_bag
 
 if TYPE_CHECKING:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 import io
 import os
 import sys
 
-from trajectory_calibration.cli import benchmark, calibrate, inspect, replay, simulate
+from trajectory_calibration.cli import calibrate, fleet, inspect, replay, simulate
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, pip_name
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (benchmark, calibrate, inspect, replay, simulate)
+_COMMANDS = (calibrate, fleet, inspect, replay, simulate)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1
@@ -39,11 +39,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit status: 0 done, 1 the data cannot give an answer, 2 wrong usage.
 
     """
+    return guarded(_run, sys.argv[1:] if argv is None else argv)
+
+
+def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int:
+    """Run a command; name its failure on standard error and return the exit status."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A name of a frame that the terminal has no characters for is no reason to end.
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
-        status = _run(sys.argv[1:] if argv is None else argv)
+        status = command(argv)
         # Unlike sys.stdout.flush(), this also goes where standard output is closed.
         print(end='', flush=True)
     except CalibrationError as error:

@@ -8,9 +8,9 @@ from pathlib import Path
 import re
 from typing import Any
 
-from trajectory_calibration.config import CalibrationConfig, Option
+from trajectory_calibration.config.settings import CalibrationConfig, Option
+from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.reading import read_yaml
 
 # What begins like an option and is none: -90,0,-90; -,-,0.42; -1e-3; -inf. No option of ours does.
 _NEGATIVE = re.compile(r'-([\d.,\s].*|inf|nan)?', re.DOTALL | re.IGNORECASE)

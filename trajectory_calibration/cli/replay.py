@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml, to_yaml
 from trajectory_calibration.errors import ConfigError, TopicError
-from trajectory_calibration.reading import parse_yaml, read_yaml
-from trajectory_calibration.result import to_yaml
 
 _NODE_NAME = 'trajectory_calibration'
 
@@ -40,16 +39,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, calibrate and print the answer."""
     # rosbags and the YAML library load where they are used, and only there.
-    from trajectory_calibration.ros.answer import describe
-    from trajectory_calibration.ros.feed import feed_track
-    from trajectory_calibration.ros.options import (
+    from trajectory_calibration.online.answer import describe
+    from trajectory_calibration.online.feed import feed_track
+    from trajectory_calibration.online.options import (
         check_values,
         find_type,
         is_foreign,
         to_config,
         to_limits,
     )
-    from trajectory_calibration.ros.session import CalibrationSession
+    from trajectory_calibration.online.session import CalibrationSession
     from trajectory_calibration.sources.bags import open_bags
     given = _read_parameters(arguments.params_file, arguments.param)
     values = check_values({name: given[name] for name in given if not is_foreign(name)})

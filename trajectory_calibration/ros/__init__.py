@@ -1,0 +1,1 @@
+"""The node: rclpy alone; everything that can be tested without ROS is in ``online``."""

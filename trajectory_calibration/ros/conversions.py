@@ -21,10 +21,10 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from trajectory_calibration import se3
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.overlay import Overlay
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.overlay import Overlay
-from trajectory_calibration.se3 import FloatArray
 from trajectory_calibration.sources.cdr import (
     ODOMETRY,
     PATH,

@@ -6,12 +6,12 @@ import math
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.buffer import PoseBuffer
+from trajectory_calibration.online.excitation import Excitation
+from trajectory_calibration.online.pairing import Pairing
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.buffer import PoseBuffer
-from trajectory_calibration.ros.excitation import Excitation
-from trajectory_calibration.ros.pairing import Pairing
 from trajectory_calibration.ros.topics import TopicStatus
-from trajectory_calibration.se3 import FloatArray
 
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0

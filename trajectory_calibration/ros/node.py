@@ -21,8 +21,14 @@ from rclpy.utilities import get_default_context
 from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
+from trajectory_calibration.online.answer import describe, deviations, headline
+from trajectory_calibration.online.excitation import Excitation, ExcitationMonitor
+from trajectory_calibration.online.options import find_type, to_config, to_limits
+from trajectory_calibration.online.pairing import count_pairs
+from trajectory_calibration.online.session import CalibrationSession
+from trajectory_calibration.online.store import ResultStore
+from trajectory_calibration.online.worker import SolverProcess, StoppedError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.answer import describe, deviations, headline
 from trajectory_calibration.ros.diagnostics import (
     excitation_values,
     InputMonitor,
@@ -30,16 +36,10 @@ from trajectory_calibration.ros.diagnostics import (
     pairing_values,
     time_apart_s,
 )
-from trajectory_calibration.ros.excitation import Excitation, ExcitationMonitor
-from trajectory_calibration.ros.options import find_type, to_config, to_limits
 from trajectory_calibration.ros.outputs import ResultPublisher
-from trajectory_calibration.ros.pairing import count_pairs
 from trajectory_calibration.ros.parameters import NodeParameters
-from trajectory_calibration.ros.session import CalibrationSession
 from trajectory_calibration.ros.signals import StopSignals
-from trajectory_calibration.ros.store import ResultStore
 from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
-from trajectory_calibration.ros.worker import SolverProcess, StoppedError
 
 NODE_NAME = 'trajectory_calibration'
 

@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from visualization_msgs.msg import MarkerArray
 
 from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.online.overlay import Overlay
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.conversions import (
     to_markers,
@@ -18,7 +19,6 @@ from trajectory_calibration.ros.conversions import (
     to_pose_with_covariance,
     to_transform_stamped,
 )
-from trajectory_calibration.ros.overlay import Overlay
 
 _LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE,

@@ -14,9 +14,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from trajectory_calibration.config import Option
+from trajectory_calibration.config.settings import Option
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.ros.options import (
+from trajectory_calibration.online.options import (
     check_foreign,
     check_values,
     FIXED_NAMES,

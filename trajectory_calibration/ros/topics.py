@@ -11,9 +11,9 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.ros.buffer import PoseBuffer
+from trajectory_calibration.online.buffer import PoseBuffer
+from trajectory_calibration.online.feed import PoseFeed
 from trajectory_calibration.ros.conversions import MESSAGE_TYPES, RosDeserialiser
-from trajectory_calibration.ros.feed import PoseFeed
 from trajectory_calibration.sources.cdr import PATH
 
 

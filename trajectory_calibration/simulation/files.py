@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration import se3
+from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, SourceError
-from trajectory_calibration.trajectory import Trajectory
-from trajectory_calibration.writing import write_text
+from trajectory_calibration.geometry import se3
 
 _TYPES = {'odometry': 'nav_msgs/msg/Odometry', 'pose_stamped': 'geometry_msgs/msg/PoseStamped'}
 

@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration import se3
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 
 # Each axis of a jump has this variance, square metres.
 JUMP_VARIANCE = 0.02

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 
 Path = Callable[[FloatArray], FloatArray]
 

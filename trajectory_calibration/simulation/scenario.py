@@ -6,12 +6,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from trajectory_calibration import se3
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, hills, Unicycle, Wander
-from trajectory_calibration.trajectory import Trajectory
 
 # A day in 2023, so that stamps are as long as real ones.
 START_NS = 1_700_000_000_000_000_000

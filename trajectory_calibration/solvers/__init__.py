@@ -13,8 +13,8 @@ from typing import Protocol, TYPE_CHECKING
 from trajectory_calibration.errors import ConfigError
 
 if TYPE_CHECKING:
-    from trajectory_calibration.config import CalibrationConfig
-    from trajectory_calibration.motions import MotionPairs
+    from trajectory_calibration.config.settings import CalibrationConfig
+    from trajectory_calibration.data.motion_pairs import MotionPairs
     from trajectory_calibration.solvers.solution import Solution
 
 SOLVERS = {

@@ -13,8 +13,8 @@ is the same, and there is no scale left free.
 
 from __future__ import annotations
 
-from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry.se3 import FloatArray
 
 _MAX_PROJECTIONS = 300
 

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import SolverError
-from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.certificate import certify
 from trajectory_calibration.solvers.solution import Solution

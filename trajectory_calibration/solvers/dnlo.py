@@ -29,16 +29,16 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
-from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.dnl import run_ipopt, symbolic_monomials
+from trajectory_calibration.solvers.least_trimmed_squares import Candidates, TrimmedCost, UPPER
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
-from trajectory_calibration.solvers.trimmed import Candidates, TrimmedCost, UPPER
 
 # Up to this many motions the nonlinear program takes less than about a tenth of a second.
 _IPOPT_MOTIONS = 500

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.solution import Equations
 
 ROTATION, TRANSLATION = slice(0, 3), slice(3, 6)

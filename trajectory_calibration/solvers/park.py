@@ -10,8 +10,8 @@ do with the alignment afterwards, which needs the sensors' own measurements.
 
 from __future__ import annotations
 
-from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
 

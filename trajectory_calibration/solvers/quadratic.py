@@ -12,11 +12,11 @@ from itertools import permutations, product
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
-from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 
 # Relative to the largest eigenvalue of a sum of squares: below it a direction is not determined
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration import se3
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
-from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 

@@ -8,10 +8,10 @@ from typing import Protocol, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry.se3 import FloatArray
 
 if TYPE_CHECKING:
-    from trajectory_calibration.solvers.drift.diagnosis import Diagnosis
+    from trajectory_calibration.solvers.drift_aware.diagnosis import Diagnosis
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ III-C: every motion with the same weight, because a trajectory file carries no c
 
 from __future__ import annotations
 
-from trajectory_calibration.config import CalibrationConfig
-from trajectory_calibration.motions import MotionPairs
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.solvers.separable import solve_separable
 from trajectory_calibration.solvers.solution import Solution
 

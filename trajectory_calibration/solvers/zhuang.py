@@ -24,11 +24,11 @@ from functools import partial
 
 import numpy as np
 
-from trajectory_calibration import se3
-from trajectory_calibration.config import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError, SolverError
-from trajectory_calibration.motions import MotionPairs
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.separable import leave_out_half_turns, solve_separable
 from trajectory_calibration.solvers.solution import Equations, Solution

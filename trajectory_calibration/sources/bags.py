@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import os
 from pathlib import Path
 
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import pip_name, SourceError, TopicError
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
-from trajectory_calibration.trajectory import Trajectory
 
 try:
     from trajectory_calibration.sources.recovery import RecoveredMcap, RecoveredSqlite

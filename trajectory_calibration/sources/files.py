@@ -27,10 +27,10 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration import se3
+from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
 from trajectory_calibration.errors import ConfigError, SourceError, TrajectoryError
-from trajectory_calibration.se3 import FloatArray
-from trajectory_calibration.trajectory import ROTATION_TOLERANCE, Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 
 FORMATS = ('tum', 'kitti', 'euroc')
 

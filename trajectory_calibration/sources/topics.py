@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, Trajectory
 from trajectory_calibration.errors import SourceError, TrajectoryError
-from trajectory_calibration.se3 import FloatArray
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.deserialise import Deserialiser
-from trajectory_calibration.trajectory import MAX_POSITION, pose_faults, Trajectory
 
 # Messages held as bytes before they become numbers: enough to make NumPy's overhead vanish.
 _BLOCK = 8192

@@ -1,0 +1,1 @@
+"""Measurements that stand in docs/; run from a checkout, not installed."""

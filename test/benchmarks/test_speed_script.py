@@ -1,0 +1,37 @@
+"""``benchmarks/speed.py`` prints the table that ``docs/speed.md`` shows."""
+
+import importlib.util
+from pathlib import Path
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SCRIPT = ROOT / 'benchmarks' / 'speed.py'
+
+# An installed package has its tests without the scripts.
+pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason='benchmarks/ is not here')
+
+
+def columns(line):
+    return [cell.strip() for cell in line.strip().strip('|').split('|')]
+
+
+def test_the_script_prints_the_columns_and_targets_of_the_document(
+        shared_data, monkeypatch, capsys):
+    pytest.importorskip('casadi', reason='casadi is not installed')
+    spec = importlib.util.spec_from_file_location('speed', SCRIPT)
+    speed = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(speed)
+    monkeypatch.setattr(speed, 'REPEATS', 1)
+    monkeypatch.setattr(sys, 'argv', ['speed.py', '--data', str(shared_data), '--poses', '60'])
+    speed.main()
+    printed, shown = (
+        [columns(line) for line in text.splitlines() if line.startswith('|')]
+        for text in (capsys.readouterr().out,
+                     (ROOT / 'docs' / 'speed.md').read_text(encoding='utf-8')))
+    assert printed[:2] == shown[:2]
+    # Drive, motions and solver say which row it is; the last column is the target.
+    targets = {tuple(row[:3]): row[5] for row in printed if row[0] == speed.PUBLISHED}
+    assert targets == {tuple(row[:3]): row[5] for row in shown if row[0] == speed.PUBLISHED}
+    assert {row[5] for row in printed if row[0].startswith('simulated')} == {''}

@@ -1,0 +1,387 @@
+"""``trajectory_calibration calibrate``: answers, formats, files, and wrong input of every kind."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+
+from cli_helpers import run, write_pair, write_pair_bag, X
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult
+from trajectory_calibration.cli.options import join_negative_values
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.online.answer import describe
+from trajectory_calibration.outputs.screen import (
+    deviation_words,
+    format_result,
+    roll_pitch_yaw_deg,
+)
+from trajectory_calibration.sources.files import FileSource, read_transform
+
+SOLVER = ('--solver', 'taylor', '--reference', 'B5')
+
+
+@pytest.fixture
+def files(tmp_path):
+    return write_pair(tmp_path)
+
+
+def test_json_is_one_object_with_every_key(files, capsys):
+    a, b, truth = files
+    status, out, err = run(
+        capsys, 'calibrate', a, b, *SOLVER, '--format', 'json', '--ground-truth', truth,
+        '--frame-a', 'lidar', '--frame-b', 'camera')
+    assert (status, err) == (0, '')
+    result = json.loads(out)
+    assert {'frame_a', 'frame_b', 'solver', 'reference', 'T_a_b', 'covariance', 'poses', 'motions',
+            'e_rt_m', 'e_rR_deg', 'e_at_m', 'e_aR_deg', 'scale', 'time_offset_s', 'observability',
+            'warnings'} <= set(result)
+    assert (result['frame_a'], result['frame_b'], result['solver']) == (
+        'lidar', 'camera', 'taylor')
+    assert result['e_at_m'] < 1e-9
+    assert result['e_aR_deg'] < 1e-6
+    np.testing.assert_allclose(result['T_a_b']['translation'], X[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(
+        se3.quaternion_to_rotation(result['T_a_b']['rotation_xyzw']), X[:3, :3], atol=1e-9)
+
+
+def test_yaml_and_json_say_the_same(files, capsys):
+    a, b, _ = files
+    _, as_json, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--format', 'json')
+    status, as_yaml, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--format', 'yaml')
+    assert status == 0
+    assert YAML(typ='safe', pure=True).load(as_yaml) == json.loads(as_json)
+    assert json.loads(as_json)['e_at_m'] is None
+
+
+def test_text_shows_the_transform_and_the_warnings_first(files, tmp_path, capsys):
+    a, b, truth = files
+    with (tmp_path / 'a.txt').open('a', encoding='utf-8') as stream:
+        stream.write('1700000100 nan nan nan nan nan nan nan\n')
+    status, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--ground-truth', truth)
+    assert status == 0
+    warning, _, screen = out.partition('\n\n')
+    assert ' '.join(warning.split()) == (
+        f'warning: sensor_a: {a}: 1 of 81 poses are not finite: dropped')
+    lines = screen.splitlines()
+    assert lines[0] == 'Pose of sensor_b in sensor_a'
+    assert lines[1].split() == ['translation', 'x', '0.3340', 'y', '-0.0050', 'z', '-0.0760', 'm']
+    words = dict(line.split(maxsplit=1) for line in lines[1:])
+    roll, pitch, yaw = roll_pitch_yaw_deg(X[:3, :3])
+    assert words['rotation'] == f'roll {roll:.3f}  pitch {pitch:.3f}  yaw {yaw:.3f} deg'
+    assert '0.0000 m, 0.000 deg, against the ground truth' in words['absolute']
+    assert '80 pairs (interpolate) of 80 and 80 poses, 75 motions' in words['data']
+    assert words['method'].startswith('taylor, version')
+    assert words['reference'] == 'B5'
+    assert words['observed'] == 'all six directions'
+
+
+def test_text_shows_a_covariance_scale_and_offset(files, tmp_path, capsys):
+    a, b, _ = files
+    run(capsys, 'calibrate', a, b, *SOLVER, '--time-offset', 0.1,
+        '--time-offset-mode', 'fixed', '--output', tmp_path)
+    data = CalibrationResult.load(tmp_path / 'result.yaml').to_dict()
+    data['covariance'] = np.diag([0.01**2] * 3 + [np.deg2rad(0.2)**2] * 3).tolist()
+    data['scale'] = 1.02
+    text = format_result(CalibrationResult.from_dict(data))
+    assert '  1 sigma along   x 0.0100  y 0.0100  z 0.0100 m\n' in text
+    assert '  1 sigma about   x 0.200  y 0.200  z 0.200 deg\n' in text
+    assert '1.02000 on the translations of sensor_b' in text
+    assert '0.1000 s on sensor_b' in text
+    data |= {'scale': 0.00100036, 'diagnosis': {'scale_deviation': 2.3e-7}}
+    text = format_result(CalibrationResult.from_dict(data))
+    assert '0.00100036 +- 2.3e-07 on the translations of sensor_b' in text
+
+
+@pytest.mark.parametrize('sigma, words', [
+    ([0.01, 4.9, 5.0, 0.01, 1.5, np.pi / 2],
+     ['0.0100', '4.9000', 'unknown', '0.573', '85.944', 'unknown']),
+    ([10.0013, 11690.4, np.nan, 583.8, np.pi, np.nan], ['unknown'] * 6)])
+def test_a_deviation_that_means_nothing_is_known_is_no_number(files, sigma, words):
+    covariance = np.diag(np.square(sigma))
+    assert deviation_words(covariance) == words
+    a, b = (FileSource(name).load() for name in map(Path, files[:2]))
+    result = replace(calibrate(a, b, CalibrationConfig(solver='taylor', reference='B5')),
+                     covariance=covariance)
+    x, y, z, about_x, about_y, about_z = words
+    text = format_result(result)
+    assert f'  1 sigma along   x {x}  y {y}  z {z} m\n' in text
+    assert f'  1 sigma about   x {about_x}  y {about_y}  z {about_z} deg\n' in text
+    assert (f'[{x}, {y}, {z}] m, about xyz [{about_x}, {about_y}, {about_z}] deg'
+            in describe(result))
+
+
+def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):
+    a, b, _ = files
+    run(capsys, 'calibrate', a, b, *SOLVER, '--output', tmp_path)
+    data = CalibrationResult.load(tmp_path / 'result.yaml').to_dict()
+    data['T_a_b'] = {'translation': [-1e-7, 0.0, -12.5], 'rotation_xyzw': [-1e-9, 0, 0, 1]}
+    data['time_offset_s'] = -1e-9
+    data['reference_choice'] = 'B5: predicted 4.2 cm; ' + 'B12 5.1 cm, ' * 10
+    data['warnings'] = ['the lidar saw ' + 'little of what there was, ' * 8, f'{"x" * 99} is long']
+    for status in data['observability']['status']:
+        data['observability']['status'][status] = 'unobserved'
+    lines = format_result(CalibrationResult.from_dict(data)).splitlines()
+    assert [line for line in lines if len(line) > 80] == [f'  {"x" * 99}']
+    text = '\n'.join(lines)
+    assert 'x 0.0000  y 0.0000  z -12.5000 m' in text
+    assert 'roll 0.000' in text
+    assert 'time offset     0.0000 s' in text
+    assert '  observed        none; unobserved: x, y, z, rotation x, rotation y,' in text
+    # What does not fit goes on under its column.
+    assert ' ' * 18 + '5.1 cm, B12 5.1 cm,' in lines
+
+
+@pytest.mark.parametrize('angles', [
+    (10, 20, 30), (-170, 80, 99), (0, 90, 0), (25, 90, 0), (25, -90, 0), (180, 0, -90)])
+def test_roll_pitch_yaw(angles):
+    def about(axis, angle):
+        return se3.exp_so3(np.deg2rad(angle) * np.eye(3)[axis])
+
+    def compose(roll, pitch, yaw):
+        return about(2, yaw) @ about(1, pitch) @ about(0, roll)
+
+    R = compose(*angles)
+    np.testing.assert_allclose(compose(*roll_pitch_yaw_deg(R)), R, atol=1e-9)
+
+
+def test_output_folder(files, tmp_path, capsys):
+    a, b, _ = files
+    folder = tmp_path / 'new' / 'results'
+    status, out, _ = run(
+        capsys, 'calibrate', a, b, *SOLVER, '--format', 'json', '--output', folder)
+    assert status == 0
+    assert sorted(item.name for item in folder.iterdir()) == ['T_a_b.txt', 'result.yaml']
+    saved = CalibrationResult.load(folder / 'result.yaml')
+    printed = json.loads(out)
+    for name, values in printed['T_a_b'].items():
+        assert saved.to_dict()['T_a_b'][name] == pytest.approx(values, abs=1e-12)
+    assert {**saved.to_dict(), 'T_a_b': None} == {**printed, 'T_a_b': None}
+    np.testing.assert_allclose(read_transform(folder / 'T_a_b.txt'), saved.T_a_b, atol=1e-8)
+    for truth in ('result.yaml', 'T_a_b.txt'):
+        _, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--format', 'json',
+                        '--ground-truth', folder / truth)
+        assert json.loads(out)['e_at_m'] < 1e-8
+
+
+def test_output_holds_the_errors_against_the_truth(files, tmp_path, capsys):
+    a, b, truth = files
+    _, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--ground-truth', truth,
+                    '--output', tmp_path, '--format', 'json')
+    saved = YAML(typ='safe', pure=True).load(tmp_path / 'result.yaml')
+    assert saved == json.loads(out)
+    assert saved['e_at_m'] < 1e-9
+    CalibrationResult.load(tmp_path / 'result.yaml')
+
+
+def test_output_that_cannot_be_written(files, capsys):
+    a, b, _ = files
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', f'{a}/below')
+    assert (status, out) == (1, '')
+    assert err == f'error: {a}/below cannot be written: Not a directory; give another --output\n'
+
+
+@pytest.mark.parametrize('taken, written', [
+    ('result.yaml', ['result.yaml']), ('T_a_b.txt', ['T_a_b.txt', 'result.yaml'])])
+def test_a_result_that_cannot_be_written_leaves_no_newer_transform(
+        files, tmp_path, capsys, taken, written):
+    a, b, _ = files
+    folder = tmp_path / 'out'
+    (folder / taken / 'below').mkdir(parents=True)
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', folder)
+    assert (status, out) == (1, '')
+    assert err == (
+        f'error: {folder}/{taken} cannot be written: Is a directory; give another --output\n')
+    assert sorted(item.name for item in folder.iterdir()) == written
+
+
+def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
+    a, b, _ = write_pair(tmp_path, planar=True)
+    status, _, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--solver', 'ali',
+                       '--allow-unobserved', '--output', tmp_path)
+    assert status == 0
+    lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
+    assert lines[1] == '# not observed: z'
+    np.testing.assert_allclose(
+        read_transform(tmp_path / 'T_a_b.txt'),
+        CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3', 'ros1'])
+def test_topics_of_a_bag(files, tmp_path, capsys, storage):
+    bag = write_pair_bag(tmp_path / f'bag{".bag" * (storage == "ros1")}', storage)
+    status, out, err = run(
+        capsys, 'calibrate', '--bag', bag, '/lidar/odom', '/camera/pose', *SOLVER,
+        '--ground-truth', files[2], '--format', 'json')
+    assert (status, err) == (0, '')
+    result = json.loads(out)
+    assert (result['frame_a'], result['frame_b']) == ('lidar', 'camera_pose')
+    assert result['e_at_m'] < 1e-9
+    _, out, _ = run(capsys, 'calibrate', '--bag', bag, '/lidar/odom', '/camera/pose', *SOLVER,
+                    '--frame-a', 'velo', '--frame-b', 'cam0', '--format', 'json')
+    assert (json.loads(out)['frame_a'], json.loads(out)['frame_b']) == ('velo', 'cam0')
+
+
+def test_every_setting_is_an_option_and_changes_the_configuration(files, capsys):
+    a, b, _ = files
+    given, options = {'solver': 'taylor', 'reference': 'B5'}, []
+    for option in CalibrationConfig.options():
+        if option.choices:
+            value = given.get(option.name, option.choices[-1])
+        elif option.kind is bool:
+            options.append(f'--{"no-" * option.default}{option.name.replace("_", "-")}')
+            given[option.name] = not option.default
+            continue
+        elif option.kind in (int, float):
+            # A value next to the default, inside the range.
+            step = 1 if option.kind is int else 1e-3
+            up = option.default + step
+            value = up if option.maximum is None or up <= option.maximum else up - 2 * step
+        else:
+            value = given.get(option.name, option.default)
+        given[option.name] = value
+        options += [f'--{option.name.replace("_", "-")}', str(value)]
+    status, out, err = run(
+        capsys, 'calibrate', a, b, *options, '--format', 'json', '--association', 'nearest')
+    given['association'] = 'nearest'
+    assert (status, err) == (0, '')
+    assert json.loads(out)['config'] == given
+
+
+@pytest.mark.parametrize('options', [
+    ('--prior-rotation', '-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-rotation=-90,0,-90', '--prior-rotation-std', '1'),
+    ('--prior-translation', '-,-,-0.42', '--prior-translation-std', '1'),
+    ('--prior-translation', '-0.1, 0, 0', '--prior-translation-std', '5'),
+    ('--time-offset', '-1e-3')])
+def test_values_may_begin_with_a_minus(files, capsys, options):
+    a, b, _ = files
+    status, out, err = run(capsys, 'calibrate', *options, a, b, '--format', 'json', *SOLVER)
+    assert (status, err) == (0, '')
+    config = json.loads(out)['config']
+    given = options[0].partition('=')[2] or options[1]
+    assert given in (config['prior_rotation'], config['prior_translation'], '-1e-3')
+    assert config['time_offset'] == (-1e-3 if given == '-1e-3' else 0.0)
+
+
+@pytest.mark.parametrize('given, joined', [
+    (['x', '--a-b', '-1,2', 'y'], ['x', '--a-b=-1,2', 'y']),
+    (['--a', '-'], ['--a=-']),
+    (['--a', '-INF', '-5'], ['--a=-INF', '-5']),
+    (['--a=1', '-5'], ['--a=1', '-5']),
+    (['--a', '-h', '--b', '--c'], ['--a', '-h', '--b', '--c']),
+    (['--', '--a', '-1,2'], ['--', '--a', '-1,2'])])
+def test_negative_values_are_joined_to_their_option(given, joined):
+    assert join_negative_values(given) == joined
+
+
+@pytest.mark.parametrize('other', ['./a.txt', 'sub/../a.txt', 'link.txt'])
+def test_one_file_under_two_names_is_refused(files, tmp_path, monkeypatch, capsys, other):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'sub').mkdir()
+    (tmp_path / 'link.txt').symlink_to(files[0])
+    status, out, err = run(capsys, 'calibrate', 'a.txt', other, *SOLVER)
+    assert (status, out) == (2, '')
+    assert err == (
+        f'error: A and B, a.txt and {other}, are the same file; needed two sensors\n')
+
+
+def test_configuration_file_and_options_over_it(files, tmp_path, capsys):
+    a, b, _ = files
+    settings = tmp_path / 'settings.yaml'
+    settings.write_text('solver: taylor\nreference: B2\nmax_gap: 2\n', encoding='utf-8')
+    _, out, _ = run(capsys, 'calibrate', a, b, '--config', settings, '--reference', 'C4',
+                    '--format', 'json')
+    config = json.loads(out)['config']
+    assert (config['solver'], config['reference'], config['max_gap']) == ('taylor', 'C4', 2.0)
+
+
+def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
+    a, b, _ = files
+    _, first, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--reference', 'B3', '--format', 'json',
+                      '--output', tmp_path)
+    _, second, _ = run(capsys, 'calibrate', a, b, '--config', tmp_path / 'result.yaml',
+                       '--format', 'json')
+    assert first == second
+
+
+@pytest.mark.parametrize(('content', 'message'), [
+    ('solvr: dnl', "setting 'solvr' is unknown; known are solver, reference"),
+    ('max_gap: -1', 'max_gap is -1.0, needed 0 to 3600'),
+    ('max_gap: [1]', 'needed a value of type float'),
+    ('- 1', 'holds no settings; needed lines such as'),
+    ('a: [', 'cannot be read as settings'),
+    ('a: 2023-13-45', 'cannot be read as settings: ValueError'),
+    ('[' * 5000, 'cannot be read as settings: RecursionError'),
+])
+def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
+    settings = tmp_path / 'settings.yaml'
+    settings.write_text(content, encoding='utf-8')
+    status, out, err = run(capsys, 'calibrate', *files[:2], '--config', settings)
+    assert (status, out) == (2, '')
+    assert message in err
+    assert err.startswith('error: ')
+    assert err.count('\n') == 1
+
+
+@pytest.mark.parametrize(('arguments', 'status', 'message'), [
+    ([], 2, 'the following arguments are required: A, B'),
+    (['{a}'], 2, 'the following arguments are required: B'),
+    (['{a}', '{b}', '--solver', 'magic'], 2, "invalid choice: 'magic'"),
+    (['{a}', '{b}', '--max-gap', 'x'], 2, "argument --max-gap: invalid float value: 'x'"),
+    (['{a}', '{b}', '--max-gap', '-1'], 2, 'error: max_gap is -1.0, needed 0 to 3600'),
+    (['{a}', '{b}', '--max-gap', 'nan'], 2, 'error: max_gap is nan, needed'),
+    (['{a}', '{b}', '--reference', 'D4'], 2, "error: reference 'D4' is unknown"),
+    (['{a}', '{b}', '--config', '{a}.no'], 2, 'cannot be read as settings: [Errno 2]'),
+    (['{a}', '{a}'], 2, 'error: A and B are both {a}; needed two sensors'),
+    (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: --times-a is for files'),
+    (['{a}.no', '{b}'], 1, 'error: {a}.no cannot be read: No such file or directory'),
+    (['{bag}', '{b}'], 1, 'give the bag with --bag'),
+    (['{a}', '{b}', '--format-a', 'euroc'], 1,
+     "error: {a}, line 1: the time '1700000000.000000000' is no integer, needed nanoseconds"),
+    (['{a}', '{b}', '--format-a', 'kitti'], 1,
+     'error: {a} holds KITTI poses, which carry no time'),
+    (['{a}', '{b}', '--times-b', '{a}'], 1, 'error: {b} is read as tum, which carries its own'),
+    (['{a}', '{b}', '--ground-truth', '{a}'], 1, 'error: {a} holds 80 rows, needed one transform'),
+    (['{a}', '{b}', '--ground-truth', '{a}.no'], 1, 'error: {a}.no cannot be read'),
+    (['{a}', '{b}', '--reference', 'B79'], 1, 'error: reference B79 leaves 1 motions of 80 poses'),
+    (['{a}', '{b}', '--time-offset', '100'], 1, 'error: no overlap in time: '),
+    (['/lidar/odom', '/nothing', '--bag', '{bag}'], 1,
+     'no topic /nothing; topics that can serve: /camera/pose (PoseStamped, 80 messages), /lidar'),
+    (['/lidar/odom', '/words', '--bag', '{bag}'], 1, 'topic /words is std_msgs/msg/String'),
+    (['/x', '/y', '--bag', '{a}.no'], 1,
+     'error: {a}.no does not exist; needed a rosbag2 folder'),
+])
+def test_wrong_input(files, tmp_path, capsys, arguments, status, message):
+    names = {'a': files[0], 'b': files[1], 'bag': write_pair_bag(tmp_path / 'bag')}
+    found, out, err = run(
+        capsys, 'calibrate', *SOLVER, *(argument.format(**names) for argument in arguments))
+    assert (found, out) == (status, '')
+    assert message.format(**names) in err
+    assert 'Traceback' not in err
+    assert status == 2 or err.count('\n') == 1
+
+
+def test_motion_that_determines_nothing_is_status_1(tmp_path, capsys):
+    a, b, _ = write_pair(tmp_path, planar=True)
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER)
+    assert (status, out) == (1, '')
+    assert err.startswith('error: all rotations share one axis (')
+    assert 'drive a ramp or a bank' in err
+
+
+def test_published_drive(shared_data, capsys):
+    drive = shared_data / 'kitti/2011_09_30_drive_0027'
+    status, out, _ = run(
+        capsys, 'calibrate', drive / 'LIDAR_HDL64E/traj_HDL_aft_opt.csv',
+        drive / 'cam01/KeyFrameTrajectory_TUM_Format.txt', *SOLVER,
+        '--ground-truth', drive / 'camera_gray_left_in_velo_link.txt', '--format', 'json')
+    assert status == 0
+    result = json.loads(out)
+    # 447 of 449 lie within the time of the lidar, 35 of them between two scans.
+    assert result['poses'] == 412
+    assert result['association']['between'] == 35
+    assert result['e_at_m'] < 0.5
+    assert result['e_aR_deg'] < 0.7

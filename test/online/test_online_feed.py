@@ -1,0 +1,98 @@
+"""Damaged messages: whatever bytes arrive, they are counted and nothing is raised."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer, Refusal
+from trajectory_calibration.online.excitation import ExcitationMonitor
+from trajectory_calibration.online.feed import PoseFeed
+from trajectory_calibration.sources import cdr
+
+ros = pytest.importorskip(
+    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+
+POSES = 8
+
+
+def _serialized():
+    stamps_ns, poses, _ = ros.drive(poses=POSES, rate_hz=1.0)
+    messages = {
+        msgtype: [ros.serialize_message(ros.to_message(
+            msgtype.rpartition('/')[2], stamp, pose, 'map', 'lidar'))
+            for stamp, pose in zip(stamps_ns, poses, strict=True)]
+        for msgtype in cdr.POSE_TYPES}
+    return messages | {cdr.PATH: [ros.serialize_message(ros.to_path(stamps_ns, poses))]}
+
+
+GOOD = _serialized()
+
+
+def fed(msgtype, messages):
+    from trajectory_calibration.ros.conversions import RosDeserialiser
+    buffer = PoseBuffer(BufferLimits())
+    feed = PoseFeed(msgtype, buffer, RosDeserialiser())
+    for message in messages:
+        feed(message)
+    return buffer
+
+
+@pytest.mark.parametrize('msgtype', cdr.TRAJECTORY_TYPES)
+def test_every_truncated_message_is_counted(msgtype):
+    message = GOOD[msgtype][0]
+    # What is cut off the end may be no more than padding.
+    lengths = [*range(64), *range(64, len(message) - 8, 7)]
+    buffer = fed(msgtype, (message[:length] for length in lengths))
+    assert buffer.refused[Refusal.UNREADABLE] == buffer.messages == len(lengths)
+    assert len(buffer) == 0
+
+
+@pytest.mark.parametrize('msgtype', cdr.TRAJECTORY_TYPES)
+def test_good_messages_go_on_after_a_bad_one(msgtype):
+    cut = [message[:50] for message in GOOD[msgtype]]
+    buffer = fed(msgtype, [item for pair in zip(cut, GOOD[msgtype], strict=True) for item in pair])
+    assert len(buffer) == POSES
+    assert buffer.refused[Refusal.UNREADABLE] == len(cut)
+
+
+@settings(max_examples=600, deadline=None)
+@given(
+    st.sampled_from(cdr.TRAJECTORY_TYPES),
+    st.lists(st.tuples(st.integers(0, 100), st.integers(0, 255)), max_size=6),
+    st.integers(0, 800))
+def test_flipped_and_truncated_bytes_raise_nothing(msgtype, flips, length):
+    damaged = []
+    for message in GOOD[msgtype]:
+        data = bytearray(message)
+        for place, value in flips:
+            data[place % len(data)] = value
+        damaged.append(bytes(data[:length]))
+    buffer = fed(msgtype, [*damaged, *GOOD[msgtype]])
+    assert buffer.messages == 2 * len(damaged)
+    # What passed for a pose must not trip what is computed beside the receiving.
+    buffer.refusals()
+    excitation = ExcitationMonitor().update(buffer, buffer, 0, 10**9)
+    assert excitation.motions <= 2 * POSES
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(cdr.TRAJECTORY_TYPES), st.binary(max_size=400))
+def test_noise_raises_nothing(msgtype, data):
+    assert fed(msgtype, [data, b'\x00\x01\x00\x00' + data]).messages == 2
+
+
+def test_a_wrong_stamp_in_a_path_costs_neither_memory_nor_the_motions_around_it():
+    stamps_ns, poses, _ = ros.drive(poses=POSES, rate_hz=1.0)
+    stamps_ns[-1] = 2_000_000_000 * 10**9
+    message = ros.serialize_message(ros.to_path(stamps_ns, poses))
+    buffer = fed(cdr.PATH, [message])
+    assert np.ptp(buffer.span_ns) == (POSES - 2) * 10**9
+    assert buffer.refused[Refusal.STRAY_STAMP] == 1
+    # With an age that reaches so far, it is a pose like any other.
+    patient = PoseBuffer(BufferLimits(max_age_s=4e9))
+    path = cdr.parse_path(message)
+    patient.replace(path.stamps_ns, path.poses, (path.frame, ''))
+    assert np.ptp(patient.span_ns) > 10**18
+    assert ExcitationMonitor().update(patient, patient, 0, 10**9).motions == POSES - 2
+    assert ExcitationMonitor().update(buffer, buffer, 0, 10**9).motions == POSES - 2

@@ -1,0 +1,65 @@
+"""The files in config/ name what the node really has."""
+
+import json
+from pathlib import Path
+import xml.etree.ElementTree as ET
+
+import pytest
+from ruamel.yaml import YAML
+
+ros = pytest.importorskip(
+    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+
+CONFIG = Path(__file__).resolve().parents[2] / 'config'
+NODE = '/trajectory_calibration'
+# Only with publish_tf.
+OPTIONAL = {'/tf_static'}
+
+
+@pytest.fixture(scope='module')
+def interface(tmp_path_factory):
+    """Return the names of what a node publishes and offers, as without a namespace."""
+    with ros.running(tmp_path_factory.mktemp('interface')) as (_, client):
+        client.wait(lambda: client.status('calibration') is not None, 'the node')
+        owner = 'trajectory_calibration', client.namespace
+        published = {name for name, _ in client.node.get_publisher_names_and_types_by_node(*owner)}
+        served = {name for name, _ in client.node.get_service_names_and_types_by_node(*owner)}
+    return ({name.removeprefix(client.namespace) for name in published},
+            {name.removeprefix(client.namespace) for name in served})
+
+
+def full(name):
+    return name.replace('~', NODE, 1)
+
+
+def test_the_documentation_names_the_whole_interface(interface):
+    text = (CONFIG.parent / 'docs' / 'node.md').read_text()
+    foreign = ('/rosout', '/parameter_events', 'parameter', 'get_type_description')
+    names = {name.replace(NODE, '~', 1) for part in interface for name in part
+             if not any(word in name for word in foreign)}
+    assert {'~/calibrate', '~/extrinsic', '/diagnostics'} <= names
+    assert not [name for name in names if f'`{name}`' not in text]
+
+
+def test_the_rviz_layout_shows_topics_of_the_node(interface):
+    layout = YAML(typ='safe').load((CONFIG / 'calibration.rviz').read_text())
+    topics = {display['Topic']['Value'] for display in layout['Visualization Manager']['Displays']
+              if 'Topic' in display}
+    assert topics == {f'{NODE}/path_a', f'{NODE}/path_b', f'{NODE}/markers'}
+    assert topics <= interface[0]
+
+
+def test_the_foxglove_layout_shows_topics_and_calls_a_service_of_the_node(interface):
+    panels = json.loads((CONFIG / 'calibration.foxglove.json').read_text())['configById']
+    topics = set(panels['3D!tracks']['topics'])
+    topics.add(panels['RawMessages!extrinsic']['topicPath'])
+    topics.add(panels['DiagnosticSummary!node']['topicToRender'])
+    assert topics <= interface[0]
+    assert panels['CallService!calibrate']['serviceName'] in interface[1]
+
+
+def test_the_security_policy_allows_exactly_what_the_node_does(interface):
+    profile = ET.parse(CONFIG / 'sros2_policy.xml').find('.//profile')
+    allowed = {full(topic.text) for topic in profile.findall("topics[@publish='ALLOW']/topic")}
+    assert allowed - OPTIONAL == interface[0]
+    assert {full(service.text) for service in profile.findall('services/service')} == interface[1]

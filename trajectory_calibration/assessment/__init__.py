@@ -1,0 +1,1 @@
+"""How good a solution is: covariance, observability, checks of the input, priors."""

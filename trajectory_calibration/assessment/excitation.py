@@ -1,0 +1,213 @@
+"""Which directions of an extrinsic the motion excited, and which only noise pretends to.
+
+Noise in the rotations passes for motion: on flat ground the pitch and roll that a sensor reports
+are noise, a sum of squares counts them as excitation, and the height between the sensors comes
+out wrong with a small standard deviation. The product of what a saw with what b saw is free of
+that: their noises are independent, so that noise alone gives zero on average. A direction in
+which the product does not stand out of its own noise is not observed.
+
+W. A. Fuller, "Measurement Error Models", 1987, section 1.4 (a second measurement as instrument).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.data.motion_pairs import MotionPairs, parse_reference, select_motions
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers import linear
+from trajectory_calibration.solvers.solution import Linearise
+
+# Standard deviations that stand for "unknown", metres and radians: no two sensors of one vehicle
+# are farther apart. More would let the unknown direction, which noise tilts, spill into others.
+UNKNOWN = np.array([10.0] * 3 + [np.pi] * 3)
+
+# Motions that are linearised at once.
+CHUNK = 2048
+
+# Blocks of correlated motions: this many lags of the reference, at most a fifth of the data.
+_BLOCK_LAGS = 3
+_BLOCK_SHARE = 0.2
+
+# Relative to the largest eigenvalue of a sum of squares: nothing but rounding.
+_UNSEEN = 1e-12
+
+# Directions with less than this share of true excitation are tested against noise.
+_SUSPECT_SHARE = 0.5
+
+# Excitation counts when it exceeds this many standard deviations of what noise alone would give.
+_SIGNIFICANT = 4.0
+
+# A disagreement of this many usual ones is a glitch.
+_GLITCH = 20.0
+
+# Lags at which the motion of a solver without a reference is judged, and motions that suffice.
+_LAGS = (5, 20, 80)
+_MOTIONS = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Excited:
+    """The space of (dt, dtheta), split by what the motion says.
+
+    Attributes
+    ----------
+    basis : (6, 6 - K), columns that span the excited directions.
+    unobserved : (K, 6), the others, as long as the unknown may be; see ``UNKNOWN``.
+
+    """
+
+    basis: FloatArray
+    unobserved: FloatArray
+
+
+def block_length(motions: MotionPairs) -> int:
+    """Return the number of consecutive motions that are taken to be correlated."""
+    count = len(motions)
+    end = motions.j[0] + _BLOCK_LAGS * parse_reference(motions.reference)[1]
+    lags = int(np.searchsorted(motions.j, end))
+    return max(1, min(max(lags, round(2 * count**(1 / 3))), int(_BLOCK_SHARE * count)))
+
+
+def split(
+    shared: FloatArray,
+    own: FloatArray,
+    instruments: Iterator[tuple[FloatArray, FloatArray]],
+    block: int,
+) -> Excited:
+    """Split the directions by their excitation.
+
+    In the basis that makes what each sensor saw the identity, what both saw has eigenvalues
+    near one where they saw the same turns, and near zero where each saw its own noise.
+
+    Parameters
+    ----------
+    shared : (6, 6)
+        Sum of what a saw times what b saw.
+    own : (6, 6)
+        Sum of what each saw times itself, the mean of both.
+    instruments : of pairs of (m, 6, 6)
+        What a saw and what b saw, in parts; read only where a direction is suspect.
+    block : int
+        As ``block_length``.
+
+    """
+    largest = np.diagonal(own).reshape(2, 3).max(axis=1)
+    scale = np.repeat(np.sqrt(np.maximum(largest, np.finfo(float).tiny)), 3)
+    eigenvalues, vectors = np.linalg.eigh(own / np.outer(scale, scale))
+    seen = eigenvalues > _UNSEEN * eigenvalues[-1]
+    unseen = vectors[:, ~seen] / scale[:, None]
+    basis = vectors[:, seen] / np.sqrt(eigenvalues[seen]) / scale[:, None]
+    share, rotation = np.linalg.eigh(basis.T @ shared @ basis)
+    basis = basis @ rotation
+    excited = share > _SUSPECT_SHARE
+    suspects = np.flatnonzero(~excited)
+    if len(suspects):
+        noise = _excitation_by_noise(basis[:, suspects], instruments, block)
+        excited[suspects] = share[suspects] > _SIGNIFICANT * noise
+    directions = np.concatenate([basis[:, ~excited], unseen], axis=1).T
+    return Excited(basis[:, excited], scaled_to_unknown(directions))
+
+
+def scaled_to_unknown(directions: FloatArray) -> FloatArray:
+    """Return (K, 6) directions as long as the unknown may be; see ``UNKNOWN``."""
+    # What they span is open, not each by itself: lengthened one by one until its translation is
+    # unknown, a rotation that comes along with it would pass for known.
+    _, _, basis = np.linalg.svd(directions / UNKNOWN, full_matrices=False)
+    scaled: FloatArray = basis * UNKNOWN
+    return scaled
+
+
+def opens_rotation(directions: FloatArray) -> bool:
+    """Return whether a rotation is open in the span of (K, 6) directions, scaled as above."""
+    share = np.linalg.norm(directions[:, 3:] / UNKNOWN[3:], axis=0)
+    return bool((share > _SUSPECT_SHARE).any())
+
+
+def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
+    """Split the directions by the motion itself, for solvers that use no relative motions.
+
+    Over several lags, and by the one that shows most: noise hides short motions.
+    """
+    poses_c = T_a_b @ pairs.poses_b @ se3.inverse(T_a_b)
+    lags = [lag for lag in _LAGS if len(pairs) > 2 * lag] or [1]
+    found = []
+    for lag in lags:
+        motions = _plausible(T_a_b, thinned(select_motions(pairs, f'B{lag}'), _MOTIONS))
+        shared, own = np.zeros((6, 6)), np.zeros((6, 6))
+        for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):
+            shared += linear.gram(of_a, of_b)
+            own += 0.5 * (linear.gram(of_a, of_a) + linear.gram(of_b, of_b))
+        found.append(split(
+            0.5 * (shared + shared.T), own,
+            _instruments(T_a_b, motions, poses_c, linear.frobenius), block_length(motions)))
+    return min(found, key=lambda excited: len(excited.unobserved))
+
+
+def _plausible(T_a_b: FloatArray, motions: MotionPairs) -> MotionPairs:
+    """Leave out motions in which the sensors part by far more than in most: a glitch of one.
+
+    A single position kilometres away would pass for noise that hides all excitation.
+    """
+    parted = np.linalg.norm(
+        (motions.A @ T_a_b)[:, :3, 3] - (T_a_b @ motions.B)[:, :3, 3], axis=1)
+    reach = float(np.linalg.norm(motions.A[:, :3, 3], axis=1).max(initial=0.0))
+    return motions.picked(parted <= _GLITCH * float(np.median(parted)) + _UNSEEN * reach)
+
+
+def thinning(length: int, count: int) -> slice:
+    """Return what picks every n-th of ``length`` items, at most ``count``."""
+    return slice(None, None, max(1, -(-length // count)))
+
+
+def thinned(motions: MotionPairs, count: int) -> MotionPairs:
+    """Return every n-th motion, at most ``count``."""
+    return motions.picked(thinning(len(motions), count))
+
+
+def _instruments(
+    T_a_b: FloatArray, motions: MotionPairs, poses_c: FloatArray, linearise: Linearise,
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    for start in range(0, len(motions), CHUNK):
+        part = slice(start, start + CHUNK)
+        A = motions.A[part]
+        C = se3.inverse(poses_c[motions.i[part]]) @ poses_c[motions.j[part]]
+        yield linearise(T_a_b, A, A).instrument, linearise(T_a_b, C, C).instrument
+
+
+def weighted_instruments(
+    T_a_b: FloatArray,
+    motions: MotionPairs,
+    weights: FloatArray,
+    poses_c: FloatArray,
+    linearise: Linearise,
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield what a saw and what b saw of each motion, times the root of its (M,) weight."""
+    start = 0
+    for of_a, of_b in _instruments(T_a_b, motions, poses_c, linearise):
+        root = np.sqrt(weights[start:start + len(of_a)])[:, None, None]
+        yield root * of_a, root * of_b
+        start += len(of_a)
+
+
+def _excitation_by_noise(
+    directions: FloatArray, instruments: Iterator[tuple[FloatArray, FloatArray]], block: int,
+) -> FloatArray:
+    """Return (K,) standard deviations of the shared excitation if both saw only noise.
+
+    The difference of what a and b saw along (6, K) directions holds the noise of both; half of
+    its autocovariance is taken for either.
+    """
+    rows = np.concatenate([(of_a - of_b) @ directions for of_a, of_b in instruments])
+    count = len(rows)
+    variance = np.zeros(directions.shape[1])
+    for lag in range(block + 1):
+        for k in range(len(variance)):
+            covariance = rows[lag:, :, k].T @ rows[:count - lag, :, k] / 2
+            variance[k] += (1 if lag == 0 else 2) * np.sum(covariance**2) / count
+    return np.sqrt(variance)

@@ -1,0 +1,297 @@
+"""What the motion determined of an extrinsic, and what it did not.
+
+The covariance of the answer says it: a direction that the motion left open is one in which the
+standard deviation is large. The limits are settings, the words are for the driver.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.assessment.excitation import UNKNOWN
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.motion_pairs import MotionPairs
+from trajectory_calibration.errors import MotionError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Degrees of freedom in the order of the covariance; axes are those of sensor a.
+DEGREES_OF_FREEDOM = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
+
+OBSERVED, WEAK, UNOBSERVED, PRIOR = 'observed', 'weak', 'unobserved', 'prior'
+
+# A prior that leaves less than this share of the variance is where the value comes from.
+_DOMINATED = 0.5
+
+# Within this angle of an axis, its name says more than three numbers.
+_NEAR_AXIS = np.cos(np.deg2rad(18.0))
+
+# Turns about one axis move the sensor along it by less than this share of what they do across;
+# by less than the smaller share, it hardly turned about another one.
+_SINGLE, _HARDLY_OTHERS = 0.5, 0.05
+
+# Turns about the other axes that correlate by more than this between the sensors are no noise.
+_SHARED = 0.5
+
+# A rotation that is uncertain by this much about every axis, degrees, is not known at all.
+_LOST = 10.0
+
+# Root mean square rotations below this, degrees, hardly count as turning.
+_HARDLY = 0.2
+
+
+@dataclass(frozen=True)
+class WeakAxis:
+    """A direction that the motion determined badly or not at all.
+
+    Attributes
+    ----------
+    kind : 'translation' or 'rotation'.
+    axis : unit vector in a: the shift along it, or the rotation about it.
+    std : standard deviation, metres or degrees.
+    status : 'weak' or 'unobserved'.
+
+    """
+
+    kind: str
+    axis: tuple[float, ...]
+    std: float
+    status: str
+
+
+@dataclass(frozen=True)
+class Observability:
+    """How well the motion excited each direction; axes are those of sensor a.
+
+    Attributes
+    ----------
+    status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' where the
+        value comes from what was known beforehand.
+    weak_axes : the directions behind it: translations, then rotations, each with the largest
+        standard deviation first.
+    excitation_deg : root mean square rotation of a motion about x, y, z of a, degrees.
+    translation_gain : three numbers, ascending: metres of residual, root mean square over the
+        motions, per metre of error of the translation along each of ``translation_axes``.
+    translation_axes : three unit vectors in a, weakest first.
+    warnings : the weak directions in words.
+
+    """
+
+    status: dict[str, str]
+    weak_axes: tuple[WeakAxis, ...]
+    excitation_deg: tuple[float, ...]
+    translation_gain: tuple[float, ...]
+    translation_axes: tuple[tuple[float, ...], ...]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """Return the degrees of freedom that neither the motion nor a prior determines."""
+        return tuple(name for name, status in self.status.items() if status == UNOBSERVED)
+
+    @property
+    def weak(self) -> tuple[str, ...]:
+        """Return the degrees of freedom that are determined, but badly."""
+        return tuple(name for name, status in self.status.items() if status == WEAK)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON or YAML."""
+        return {
+            'status': dict(self.status),
+            'weak_axes': [{**asdict(item), 'axis': list(item.axis)} for item in self.weak_axes],
+            'excitation_deg': list(self.excitation_deg),
+            'translation_gain': list(self.translation_gain),
+            'translation_axes': [list(axis) for axis in self.translation_axes],
+            'warnings': list(self.warnings),
+        }
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Observability:
+        """Rebuild from ``to_dict``."""
+        # Older files hold these among the warnings of the result only.
+        warnings = data.get('warnings', [])
+        if not isinstance(warnings, list):
+            raise TypeError(f'warnings: found {warnings!r}, needed a list of sentences')
+        return cls(
+            {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
+            tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
+                           float(item['std']), str(item['status']))
+                  for item in data['weak_axes']),
+            tuple(map(float, data['excitation_deg'])),
+            tuple(map(float, data['translation_gain'])),
+            tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
+            tuple(map(str, warnings)))
+
+
+def observe(
+    motions: MotionPairs,
+    by_motion: FloatArray,
+    covariance: FloatArray,
+    config: CalibrationConfig,
+    frame: str,
+) -> Observability:
+    """Say what the motion and the priors determined.
+
+    Parameters
+    ----------
+    motions : MotionPairs
+        Relative motions, for the excitation.
+    by_motion : (6, 6)
+        Covariance of the extrinsic from the motion alone.
+    covariance : (6, 6)
+        Covariance with the priors; the same where there are none.
+    config : CalibrationConfig
+        What counts as weak and as unobserved.
+    frame : str
+        Name of sensor a, for the words.
+
+    """
+    R = motions.A[:, :3, :3]
+    excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
+    gain, axes = translation_gain(R)
+    weak_axes = _weak_axes(covariance, config)
+    single = axes[0] if _is_single(motions, gain, axes[0]) else None
+    return Observability(
+        _status(by_motion, covariance, config),
+        weak_axes,
+        tuple(excitation.tolist()),
+        tuple(gain.tolist()),
+        tuple(tuple(axis) for axis in axes.tolist()),
+        tuple(_describe(item, single, float(np.linalg.norm(excitation)), frame)
+              for item in weak_axes))
+
+
+def require_observed(observability: Observability) -> None:
+    """Raise MotionError where neither the motion nor a prior says anything of the answer.
+
+    One direction that is known is an answer, of which the rest is flagged; none is no answer.
+    Whatever the limits of the user, a rotation within ``_LOST`` degrees is something.
+    """
+    # Not by axis of the sensor: one blind direction across all of them would hide the others.
+    blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
+    best = {item.kind: item.std for item in blind}
+    if len(blind) < len(DEGREES_OF_FREEDOM) or best['rotation'] < _LOST:
+        return
+    raise MotionError(
+        'the motion determines nothing of the extrinsic: in no direction is it known better than '
+        f'to {min(best["translation"], UNKNOWN[0]):.2g} m or '
+        f'{min(best["rotation"], np.rad2deg(UNKNOWN[3])):.3g} deg; '
+        'drive curves, and a ramp or a bank (allow_unobserved shows the answer)')
+
+
+def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (3,) ascending gains of ``(R_A - I) t`` and the (3, 3) axes as rows.
+
+    ``rotations_a`` is (M, 3, 3); the gain is the root mean square over the motions. The weakest
+    axis is also the one that the sensor turned about most.
+    """
+    D = rotations_a - np.eye(3)
+    eigenvalues, eigenvectors = np.linalg.eigh(
+        np.einsum('kij,kil->jl', D, D) / max(1, len(rotations_a)))
+    return np.sqrt(np.maximum(eigenvalues, 0.0)), _pointed(eigenvectors.T)
+
+
+def axis_name(axis: FloatArray) -> str:
+    """Return 'x', 'y' or 'z' for a (3,) unit vector near one of them, else its numbers."""
+    largest = int(np.argmax(np.abs(axis)))
+    if abs(axis[largest]) > _NEAR_AXIS:
+        return 'xyz'[largest]
+    return f'({", ".join(f"{value:.2f}" for value in axis)})'
+
+
+def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool:
+    """Tell whether turns about one (3,) axis are all that the motion has, but for noise.
+
+    Where both sensors saw the other turns, it is not the motion that lacks them.
+    """
+    if gain[0] >= _SINGLE * gain[1]:
+        return False
+    if gain[0] < _HARDLY_OTHERS * gain[1]:
+        return True
+    turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
+    turn_b = turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T
+    other_a, other_b = (turn - np.outer(turn @ axis, axis) for turn in (turn_a, turn_b))
+    both = float(np.linalg.norm(other_a) * np.linalg.norm(other_b))
+    return bool(np.sum(other_a * other_b) <= _SHARED * both)
+
+
+def _judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
+    """Return the status of a standard deviation, metres or degrees."""
+    weak = config.weak_rotation if rotation else config.weak_translation
+    unobserved = config.unobserved_rotation if rotation else config.unobserved_translation
+    # Written so that NaN is not observed.
+    if not std <= unobserved:
+        return UNOBSERVED
+    return OBSERVED if std <= weak else WEAK
+
+
+def _pointed(axes: FloatArray) -> FloatArray:
+    """Point (3, 3) axes, rows without a direction of their own, along their largest element."""
+    largest = np.take_along_axis(axes, np.abs(axes).argmax(1)[:, None], axis=1)
+    pointed: FloatArray = axes * np.sign(largest)
+    return pointed
+
+
+def _deviations(covariance: FloatArray) -> FloatArray:
+    """Return (6,) standard deviations, metres and degrees."""
+    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return np.concatenate([std[:3], np.rad2deg(std[3:])])
+
+
+def _status(
+    by_motion: FloatArray, covariance: FloatArray, config: CalibrationConfig,
+) -> dict[str, str]:
+    before, after = _deviations(by_motion), _deviations(covariance)
+    given = np.isfinite(config.prior.std)
+    status = {}
+    for k, name in enumerate(DEGREES_OF_FREEDOM):
+        status[name] = _judge(config, after[k], rotation=k >= 3)
+        # A prior of one component helps others through their correlation: those count as known
+        # beforehand only if the motion alone left them open.
+        open_before = given[k] or _judge(config, before[k], rotation=k >= 3) != OBSERVED
+        dominated = after[k]**2 < _DOMINATED * before[k]**2
+        if dominated and open_before and status[name] != UNOBSERVED:
+            status[name] = PRIOR
+    return status
+
+
+def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakAxis, ...]:
+    found = []
+    for kind, block in (('translation', covariance[:3, :3]), ('rotation', covariance[3:, 3:])):
+        variances, axes = np.linalg.eigh(block)
+        std = np.sqrt(np.maximum(variances, 0.0))
+        std = np.rad2deg(std) if kind == 'rotation' else std
+        for value, axis in zip(std[::-1], _pointed(axes.T)[::-1], strict=True):
+            status = _judge(config, value, rotation=kind == 'rotation')
+            if status != OBSERVED:
+                found.append(WeakAxis(kind, tuple(axis.tolist()), float(value), status))
+    return tuple(found)
+
+
+def _describe(
+    item: WeakAxis, single: FloatArray | None, turned: float, frame: str,
+) -> str:
+    """Return what a driver needs to know about a weak direction.
+
+    ``single`` is the axis of nearly all turns, or None; ``turned`` is their size in degrees.
+    """
+    name = axis_name(np.array(item.axis))
+    where = (f'translation along {name} of {frame}' if item.kind == 'translation'
+             else f'rotation about {name} of {frame}')
+    unit = 'm' if item.kind == 'translation' else 'deg'
+    if item.status == WEAK:
+        advice = ('drive tighter curves, steeper ramps, or longer' if item.kind == 'translation'
+                  else 'drive more curves, ramps and banks, or longer')
+        return f'{where}: weak, standard deviation {item.std:.2g} {unit}; {advice}'
+    if turned < _HARDLY:
+        return (f'{where}: not observed, the vehicle hardly turned; drive curves, and a ramp or '
+                'a bank')
+    if single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
+        return (f'{where}: not observed, the vehicle turned about {axis_name(single)} only, as '
+                'far as noise lets it be seen; drive a ramp or a bank')
+    return (f'{where}: not observed, the noise is too large for the motion: what the two sensors '
+            'report of it does not stand out of their disagreement; turn more, and check units, '
+            'clocks and jumps')

@@ -1,0 +1,185 @@
+"""What is known of the extrinsic beforehand, added to what the motion says."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.config.prior import FIXED, Prior
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# A prior this many standard deviations from the motion contradicts it.
+_CONTRADICTION = 4.0
+
+# The correction of an answer by a prior is linear in the rotation up to about this, degrees. An
+# axis that the motion knows worse than that is open: the answer about it is as good as any.
+_LARGEST_TURN_DEG = 15.0
+
+# A turn of which more than this share is about open axes has nothing to do with what is known.
+_MOSTLY = 0.7
+
+# Metres by which a translation may go along with a turn whatever is known of it.
+_NO_SHIFT = 1e-6
+
+# Turns about a single open axis that are tried, and steps that refine the best of them.
+_TURNS = 72
+_MAX_REFINEMENTS = 50
+
+_MAX_UPDATES = 20
+_SETTLED = 1e-13
+
+
+def apply_prior(
+    T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
+) -> tuple[FloatArray, FloatArray]:
+    """Add the prior as one more residual to an answer with its covariance.
+
+    The answer of a solver and its (6, 6) covariance say what the motion knows; the most likely
+    extrinsic under both is a least-squares problem in six unknowns. It is iterated in the
+    rotation (iterated Kalman update), linear in everything else. About axes that the motion left
+    open it begins at the prior, however far that is.
+
+    Raises
+    ------
+    ConfigError
+        The prior turns what the motion knows too far for the covariance to hold there.
+
+    """
+    if not prior.given:
+        return T_a_b, covariance
+    known = np.isfinite(prior.std)
+    std = np.maximum(prior.std[known], FIXED)
+    start = _step_to_prior(T_a_b, covariance, prior)
+    T_a_b = se3.moved(T_a_b, start)
+    eigenvalues, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
+    step = np.zeros(6)
+    for _ in range(_MAX_UPDATES):
+        deviation = prior.deviation(se3.moved(T_a_b, step))
+        observe = _observation(deviation, step)[known]
+        # In units of what is unknown, the prior before the motion: a component that is fixed
+        # beside a direction that is open has 1e13 times its weight.
+        Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
+        # The motion had its answer where the start began.
+        expected = (deviation[known] + observe @ (step + start)) / std
+        following = root @ np.linalg.solve(triangle, Q[:len(std)].T @ expected) - start
+        settled = np.abs(following - step).max() < _SETTLED
+        step = following
+        if settled:
+            break
+    _require_small_turn(step[3:], covariance, prior)
+    half = np.linalg.solve(triangle.T, root.T)
+    return se3.moved(T_a_b, step), half.T @ half
+
+
+def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) -> None:
+    """Raise ConfigError where (3,) rotation is beyond what is linear."""
+    angle = float(np.rad2deg(np.linalg.norm(turn)))
+    if angle <= _LARGEST_TURN_DEG:
+        return
+    axes, _ = _open_axes(covariance)
+    what, check = 'prior', (
+        'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
+        'shows the rotation, about two axes')
+    if np.linalg.norm(axes.T @ turn) > _MOSTLY * np.linalg.norm(turn):
+        # Its translation holds for its own rotation only, and that is arbitrary.
+        check = ('mostly about an axis that the motion leaves open to this solver; use '
+                 'drift_aware or dnl, or drive so that the motion shows the rotation, about two '
+                 'axes')
+        if not np.isfinite(prior.rotation_std).any():
+            what = 'prior of the translation'
+            check = f'{check}, or give prior_rotation, too'
+    raise ConfigError(
+        f'the {what} turns the answer of the motion by {angle:.0f} degrees, needed less than '
+        f'{_LARGEST_TURN_DEG:.0f}; {check}')
+
+
+def _open_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (3, K) axes about which the motion does not know the rotation, and variances."""
+    variances, axes = np.linalg.eigh(covariance[3:, 3:])
+    open_ = variances > np.deg2rad(_LARGEST_TURN_DEG)**2
+    return axes[:, open_], variances[open_]
+
+
+def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
+    """Return the (6,) step about the open axes of an answer that takes it nearest to the prior.
+
+    About such an axis the answer of a solver is arbitrary, by any angle, and from there a step
+    that is linear in the rotation does not reach the prior. Zero where the translation that is
+    known goes along with the rotation, in a way that is not linear.
+    """
+    axes, variances = _open_axes(covariance)
+    if not (len(variances) and np.isfinite(prior.rotation_std).any()):
+        return np.zeros(6)
+    along = covariance[:, 3:] @ axes / variances
+    step: FloatArray = along @ _angles_to_prior(T_a_b[:3, :3], axes, prior)
+    shift = along[:3] * np.sqrt(variances)
+    rest = covariance[:3, :3] - shift @ shift.T + _NO_SHIFT**2 * np.eye(3)
+    if step[:3] @ np.linalg.solve(rest, step[:3]) > 1:
+        return np.zeros(6)
+    return step
+
+
+def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> FloatArray:
+    """Return (K,) radians about the columns of (3, K) axes that bring a rotation to the prior."""
+    known = np.isfinite(prior.rotation_std)
+    # Relative to each other only: a fixed component has 1e12 times the weight of a degree.
+    weight = 1.0 / np.maximum(prior.rotation_std[known], FIXED)
+    weight = weight / weight.max()
+
+    def residual(angles: FloatArray) -> FloatArray:
+        R = se3.exp_so3(angles @ axes.T) @ R_a_b
+        deviation = se3.log_so3(prior.rotation @ np.swapaxes(R, -1, -2))
+        weighted: FloatArray = weight * deviation[..., known]
+        return weighted
+
+    def cost(angles: FloatArray) -> FloatArray:
+        squares: FloatArray = np.sum(residual(angles)**2, axis=-1)
+        return squares
+
+    # About one axis the cost may have several minima; about more, the whole way is a start.
+    starts = (np.linspace(-np.pi, np.pi, _TURNS, endpoint=False)[:, None] if axes.shape[1] == 1
+              else (se3.log_so3(prior.rotation @ R_a_b.T) @ axes)[None])
+    angles: FloatArray = starts[int(np.argmin(cost(starts)))]
+    for _ in range(_MAX_REFINEMENTS):
+        turn = axes @ angles
+        deviation = prior.deviation(se3.moved(
+            se3.from_rotation_translation(R_a_b, np.zeros(3)), np.r_[np.zeros(3), turn]))
+        slope = _observation(deviation, np.r_[np.zeros(3), turn])[3:, 3:][known] @ axes
+        # Without a slope, nothing that is known beforehand depends on the turn.
+        step = np.linalg.lstsq(weight[:, None] * slope, residual(angles), rcond=1e-9)[0]
+        if cost(angles + step) >= cost(angles):
+            break
+        angles = angles + step
+    return angles
+
+
+def contradictions(
+    T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
+) -> tuple[str, ...]:
+    """Say where the prior is far from the answer of the motion alone, for the uncertainty of both.
+
+    Combined, two that contradict each other give an answer that neither of them supports.
+    """
+    found = []
+    deviation = prior.deviation(T_a_b)
+    for k in np.flatnonzero(np.isfinite(prior.std)):
+        both = float(np.sqrt(covariance[k, k] + prior.std[k] ** 2))
+        distance = abs(float(deviation[k]))
+        if distance > _CONTRADICTION * both:
+            what = (f'translation {"xyz"[k]} is {distance:.3g} m' if k < 3 else
+                    f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
+            found.append(
+                f'the prior of the {what} from what the motion says, {distance / both:.0f} '
+                'standard deviations of both: one of them is wrong, and the answer is between')
+    return tuple(found)
+
+
+def _observation(deviation: FloatArray, step: FloatArray) -> FloatArray:
+    """Return (6, 6): how the deviation from the prior shrinks with a further step."""
+    result = np.eye(6)
+    # exp(d) = R_prior R^T exp(-step); the right Jacobian is the left one transposed.
+    result[3:, 3:] = (se3.left_jacobian_so3_inverse(deviation[3:]).T
+                      @ se3.left_jacobian_so3(step[3:]))
+    return result

@@ -1,0 +1,123 @@
+"""What is known of the extrinsic beforehand: a tape measure, a drawing, a mounting plate.
+
+A prior is written as text, so that a ROS parameter and a command line can hold it:
+``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``; a ``-`` leaves a
+component open, one number stands for all three, and a standard deviation of 0 fixes a component.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+_OPEN = '-'
+
+# A fixed component: small enough to be exact, large enough to divide by.
+FIXED = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A normal distribution of the extrinsic; components that are open have infinite width.
+
+    Attributes
+    ----------
+    translation : (3,), metres, of b in a; zero where open.
+    translation_std : (3,), metres.
+    rotation : (3, 3), of b in a.
+    rotation_std : (3,), radians, about the fixed axes x, y, z of a.
+
+    """
+
+    translation: FloatArray
+    translation_std: FloatArray
+    rotation: FloatArray
+    rotation_std: FloatArray
+
+    @property
+    def std(self) -> FloatArray:
+        """Return (6,) standard deviations in the order of the covariance."""
+        return np.concatenate([self.translation_std, self.rotation_std])
+
+    @property
+    def given(self) -> bool:
+        """Whether anything is known beforehand."""
+        return bool(np.isfinite(self.std).any())
+
+    def deviation(self, T_a_b: FloatArray) -> FloatArray:
+        """Return (6,) the step from an extrinsic to the prior."""
+        return se3.step_between(
+            T_a_b, se3.from_rotation_translation(self.rotation, self.translation))
+
+    def translation_std_along(self, axis: FloatArray) -> float:
+        """Return how well, in metres, a shift along a (3,) unit vector in a is known."""
+        return float(1.0 / np.sqrt(max(
+            np.sum((axis / np.maximum(self.translation_std, FIXED))**2), 1e-300)))
+
+
+def parse_prior(
+    translation: str, translation_std: str, rotation_rpy_deg: str, rotation_std_deg: str,
+) -> Prior:
+    """Read a prior from the four settings; an empty text gives none.
+
+    A standard deviation without a value says nothing, so that whoever sets one parameter at a
+    time can begin with it.
+
+    Raises
+    ------
+    ConfigError
+        Text that is not three numbers, a value without a standard deviation.
+
+    """
+    t, t_std = _component('prior_translation', translation, translation_std)
+    angles, angle_std = _component('prior_rotation', rotation_rpy_deg, rotation_std_deg)
+    if np.isfinite(angle_std).any() and np.isnan(angles).any():
+        raise ConfigError(
+            f'prior_rotation is {rotation_rpy_deg!r}, needed roll, pitch and yaw: they mean '
+            'nothing one without the other; open an axis in prior_rotation_std')
+    roll, pitch, yaw = (
+        se3.exp_so3(np.deg2rad(angle) * axis)
+        for angle, axis in zip(np.nan_to_num(angles), np.eye(3), strict=True))
+    return Prior(np.nan_to_num(t), t_std, yaw @ pitch @ roll, np.deg2rad(angle_std))
+
+
+def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
+    """Return (3,) values, NaN where open, and (3,) widths, infinite where open."""
+    if not values.strip() and not std.strip():
+        return np.full(3, np.nan), np.full(3, np.inf)
+    if not std.strip():
+        raise ConfigError(
+            f'{name}_std is empty, but {name} is {values!r}, needed both; give {name}_std too (of '
+            f'a running node, set {name}_std first and clear it last)')
+    value = _three(name, values) if values.strip() else np.full(3, np.nan)
+    width = _three(f'{name}_std', std)
+    if (width < 0).any():
+        raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
+    if len(std.split(',')) == 1:
+        width = np.where(np.isnan(value), np.nan, width)
+    if (np.isnan(width) & ~np.isnan(value)).any() and name == 'prior_translation':
+        raise ConfigError(f'{name}_std is {std!r}, needed a number for each one of {values!r}')
+    if values.strip() and (np.isnan(value) & ~np.isnan(width)).any():
+        raise ConfigError(f'{name} is {values!r}, needed a number for each one of {std!r}')
+    return value, np.where(np.isnan(value) | np.isnan(width), np.inf, width)
+
+
+def _three(name: str, text: str) -> FloatArray:
+    parts = [part.strip() for part in text.split(',')]
+    if len(parts) == 1 and name.endswith('_std'):
+        parts = parts * 3
+    try:
+        values = np.array([np.nan if part == _OPEN else float(part) for part in parts])
+        valid = len(values) == 3 and np.isfinite(values[[part != _OPEN for part in parts]]).all()
+    except ValueError:
+        valid = False
+    if not valid:
+        raise ConfigError(
+            f'{name} is {text!r}, needed three numbers with commas, "-" for an open one, such as '
+            '0.3,-,0.1')
+    return values

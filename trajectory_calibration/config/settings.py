@@ -1,0 +1,216 @@
+"""Every setting of a calibration: its default, its range, and what it means.
+
+The command line, the node's parameters and ``config/calibration.yaml`` derive from the fields
+of ``CalibrationConfig``; nothing has a second default anywhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from numbers import Integral, Real
+from typing import Any
+
+from trajectory_calibration.config.prior import parse_prior, Prior
+from trajectory_calibration.data.motion_pairs import normal_reference, REFERENCE_HELP
+from trajectory_calibration.data.pose_pairs import METHODS
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.solvers import SOLVER_NAMES
+
+# More than a float holds, and than Python writes.
+_MOST_BITS = 1000
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of a configuration, as the command line and the node need it.
+
+    Attributes
+    ----------
+    name : the field's name.
+    kind : str, float, int or bool.
+    default : its default.
+    help : one sentence, with the unit.
+    minimum, maximum : the closed range of a number, or None.
+    choices : the valid words, or empty.
+
+    """
+
+    name: str
+    kind: type
+    default: Any
+    help: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: Any) -> Any:
+        """Return the value in this option's type; raise ConfigError where it does not fit.
+
+        Numbers of NumPy, which registers its types as these, become Python's own. A number for
+        a text is its text: YAML and ROS make one of what a person types as '0.01'.
+        """
+        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+            raise ConfigError(f'{self.name} is an integer of too many digits')
+        number = {float: Real, int: Integral}.get(self.kind)
+        if number is not None and isinstance(value, number) and not isinstance(value, bool):
+            value = self._convert(value)
+        elif (self.kind is str and isinstance(value, (str, Real))
+              and not isinstance(value, bool)):
+            value = str(value)
+        if type(value) is not self.kind:
+            raise ConfigError(
+                f'{self.name} is {value!r}, needed a value of type {self.kind.__name__}')
+        if self.choices and value not in self.choices:
+            raise ConfigError(
+                f'{self.name} {value!r} is unknown; needed one of {", ".join(self.choices)}')
+        if isinstance(value, (int, float)):
+            low = -float('inf') if self.minimum is None else self.minimum
+            high = float('inf') if self.maximum is None else self.maximum
+            # Written so that NaN fails.
+            if not low <= value <= high:
+                raise ConfigError(f'{self.name} is {value}, needed {low:g} to {high:g}')
+        return value
+
+    def _convert(self, number: Any) -> Any:
+        try:
+            return self.kind(number)
+        except OverflowError as error:
+            raise ConfigError(f'{self.name} is an integer of too many digits: {error}') from error
+
+
+def _option(default: Any, text: str, **limits: Any) -> Any:
+    return field(default=default, metadata={'help': text, **limits})
+
+
+# What may become of a term that both trajectories share.
+MODES = ('fixed', 'estimate', 'auto')
+_MODES = 'fixed: taken as given; estimate: found; auto: found where the data support it'
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How to calibrate. Every default of the package lives here.
+
+    Raises
+    ------
+    ConfigError
+        A value of the wrong type or out of its range, with the range in the message.
+
+    """
+
+    solver: str = _option('drift_aware', 'method that finds the extrinsic', choices=SOLVER_NAMES)
+    reference: str = _option('auto', f'reference pose of each motion: {REFERENCE_HELP}')
+    association: str = _option(
+        'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
+        'the nearest, or (auto) interpolate whichever has more poses a second, but keep to '
+        'coinciding stamps where most are',
+        choices=METHODS)
+    max_gap: float = _option(
+        0.5, 'longest gap that interpolation bridges, of the sensor that is interpolated, seconds',
+        minimum=0.0, maximum=3600.0)
+    max_time_difference: float = _option(
+        0.02, 'largest time between the poses of a pair for nearest, seconds',
+        minimum=0.0, maximum=3600.0)
+    time_offset: float = _option(
+        0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
+    time_offset_mode: str = _option(
+        'auto', f'{_MODES}, around time_offset; not fixed, a clock that drifts is corrected as '
+        'well', choices=MODES)
+    max_time_offset: float = _option(
+        5.0, 'largest clock offset that is looked for around time_offset, seconds; drift_aware '
+        'refines what is found, 0 leaves the clocks alone', minimum=0.0, maximum=3600.0)
+    scale: float = _option(
+        1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
+    scale_mode: str = _option(
+        'auto', f'{_MODES}, unless scale is other than 1; only drift_aware finds it',
+        choices=MODES)
+    systematic_drift_mode: str = _option(
+        'auto', 'constant drift of b per metre along its axes; only drift_aware finds it: '
+        f'{_MODES}', choices=MODES)
+    dnlo_c: float = _option(
+        0.01, 'cost c of rejecting a motion (dnlo): squared residual beyond which it is an '
+        'outlier', minimum=0.0, maximum=1e6)
+    dnlo_min_inliers: float = _option(
+        0.5, 'least fraction d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
+    dnlo_method: str = _option(
+        'auto', 'how dnlo finds its minimum; auto chooses by the number of motions',
+        choices=('auto', 'ipopt', 'path', 'alternating'))
+
+    prior_translation: str = _option(
+        '', 'known position of b in a, metres: x,y,z with - for an unknown one; empty: none')
+    prior_translation_std: str = _option(
+        '', 'standard deviations of prior_translation, metres: one number, or x,y,z; 0 fixes a '
+        'component')
+    prior_rotation: str = _option(
+        '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
+    prior_rotation_std: str = _option(
+        '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
+        'three with - for an unknown one; 0 fixes')
+    allow_unobserved: bool = _option(
+        default=False, text='answer also where the motion determines nothing or leaves a '
+        'direction exactly open, which is then zero or the prior, and let the node publish '
+        'directions that are not observed; those are marked with and without it')
+    weak_translation: float = _option(
+        0.05, 'standard deviation above which a direction of the translation is called weak, '
+        'metres', minimum=0.0, maximum=1e3)
+    weak_rotation: float = _option(
+        0.5, 'standard deviation above which a direction of the rotation is called weak, degrees',
+        minimum=0.0, maximum=180.0)
+    unobserved_translation: float = _option(
+        0.5, 'standard deviation above which a direction of the translation is called '
+        'unobserved, metres', minimum=0.0, maximum=1e3)
+    unobserved_rotation: float = _option(
+        5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
+        'degrees', minimum=0.0, maximum=180.0)
+
+    def __post_init__(self) -> None:
+        for option in self.options():
+            object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
+        object.__setattr__(self, 'reference', normal_reference(self.reference))
+        for term in ('scale', 'systematic_drift'):
+            if self.mode(term) == 'estimate' and self.solver != 'drift_aware':
+                raise ConfigError(
+                    f'{term}_mode is estimate, which {self.solver} cannot; use solver '
+                    'drift_aware, or set it to fixed')
+        if self.time_offset_mode == 'estimate' and self.max_time_offset == 0:
+            raise ConfigError('time_offset_mode is estimate and max_time_offset 0, needed more '
+                              'than 0 seconds to look in, or time_offset_mode fixed')
+        # Read now, so that a mistake shows before any data is loaded.
+        _ = self.prior
+
+    def mode(self, term: str) -> str:
+        """Return 'fixed', 'estimate' or 'auto' for 'time_offset', 'scale', 'systematic_drift'.
+
+        A scale that is given is known: it turns 'auto' into 'fixed', as does a time offset that
+        may not be any. A time offset that is given is where the search begins.
+        """
+        mode: str = getattr(self, f'{term}_mode')
+        known = {'scale': self.scale != type(self).scale,
+                 'time_offset': self.max_time_offset == 0}
+        return 'fixed' if mode == 'auto' and known.get(term, False) else mode
+
+    @property
+    def prior(self) -> Prior:
+        """Return what is known of the extrinsic beforehand."""
+        return parse_prior(self.prior_translation, self.prior_translation_std,
+                           self.prior_rotation, self.prior_rotation_std)
+
+    @classmethod
+    def options(cls) -> Iterator[Option]:
+        """Yield every field with its type, default, help and limits."""
+        for item in fields(cls):
+            yield Option(item.name, type(item.default), item.default, **item.metadata)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> CalibrationConfig:
+        """Build a configuration from names and values; unknown names raise ConfigError."""
+        known = [option.name for option in cls.options()]
+        for name in values:
+            if name not in known:
+                raise ConfigError(f'setting {name!r} is unknown; known are {", ".join(known)}')
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return names and values, ready for YAML or JSON."""
+        return asdict(self)

@@ -1,0 +1,1 @@
+"""What flows: trajectories, pairs of poses at common times, relative motions."""

@@ -1,0 +1,148 @@
+"""Relative motions: the reference selections of the paper.
+
+T. Valimaki, B. Garigipati, R. Ghabcheloo, "Motion-Based Extrinsic Sensor-to-Sensor Calibration:
+Effect of Reference Frame Selection for New and Existing Methods", Sensors 23(7):3740, 2023,
+doi:10.3390/s23073740, section III-D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.errors import ConfigError, MotionError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+AUTOMATIC = 'auto'
+REFERENCE_HELP = ('A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n), '
+                  'auto (the one with the smallest expected error)')
+
+
+@dataclass(frozen=True, eq=False)
+class MotionPairs:
+    """Relative motions of both sensors between the same instants: ``A X = X B``.
+
+    Attributes
+    ----------
+    reference : the selection that made them, 'A', 'B5', 'C10', ...
+    i, j : (M,) indices into ``pairs``: the reference pose and the current pose.
+    A, B : (M, 4, 4), pose j in the frame of pose i, for sensor a and sensor b.
+    pairs : the poses they were made from.
+
+    """
+
+    reference: str
+    i: NDArray[np.intp]
+    j: NDArray[np.intp]
+    A: FloatArray
+    B: FloatArray
+    pairs: PosePairs
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def picked(self, keep: slice | NDArray[np.bool_] | NDArray[np.intp]) -> MotionPairs:
+        """Return some of the motions: those of a slice, a (M,) mask, or (k,) indices."""
+        return replace(self, i=self.i[keep], j=self.j[keep], A=self.A[keep], B=self.B[keep])
+
+    def scaled(self, scale: float) -> MotionPairs:
+        """Return the motions with the translations of b multiplied by ``scale``."""
+        if scale == 1.0:
+            return self
+        B = self.B.copy()
+        B[:, :3, 3] *= scale
+        return replace(self, B=B, pairs=self.pairs.scaled(scale))
+
+
+def parse_reference(reference: str) -> tuple[str, int]:
+    """Return the letter and the number of a reference: ('B', 5) of 'B5', ('A', 0) of 'A'.
+
+    Raises
+    ------
+    ConfigError
+        For anything else than 'A', 'B<n>' with n >= 1, or 'C<n>' with n >= 2.
+
+    """
+    match = re.fullmatch(r'(A)|([BC])([1-9]\d{0,99})', reference.strip().upper())
+    if match is None:
+        raise ConfigError(f'reference {reference!r} is unknown; needed {REFERENCE_HELP}')
+    if match[2] == 'C' and int(match[3]) == 1:
+        raise ConfigError('reference C1 compares every pose with itself; use C2 or more')
+    return (match[1], 0) if match[1] else (match[2], int(match[3]))
+
+
+def normal_reference(reference: str) -> str:
+    """Return the one way of writing a reference: 'B7' of ' b7', 'auto' of 'AUTO'.
+
+    Raises
+    ------
+    ConfigError
+        As ``parse_reference``, but for 'auto'.
+
+    """
+    if reference.strip().lower() == AUTOMATIC:
+        return AUTOMATIC
+    letter, n = parse_reference(reference)
+    return f'{letter}{n}' if n else letter
+
+
+def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the (M,) indices i of the reference and j of the current pose of each motion.
+
+    * 'A': i = 0 for every j.
+    * 'B<n>': i = j - n.
+    * 'C<n>': the poses are cut into segments of n; i is the first pose of the segment of j. A
+      segment counts once the next one has begun, so that the last is dropped even where it is
+      complete: with that, and only with that, the published figures come out to the digit.
+
+    Raises
+    ------
+    ConfigError
+        An unknown reference.
+    MotionError
+        Fewer than two motions: n too large for the number of poses.
+
+    """
+    letter, n = parse_reference(reference)
+    # An n of more digits than an index holds leaves as little as one of as many as the poses.
+    n = min(n, poses)
+    if letter == 'A':
+        j = np.arange(1, poses)
+        i = np.zeros_like(j)
+    elif letter == 'B':
+        j = np.arange(n, poses)
+        i = j - n
+    else:
+        j = np.arange(len(range(0, poses - n, n)) * n)
+        j = j[j % n != 0]
+        i = j - j % n
+    if len(j) < 2:
+        raise MotionError(
+            f'reference {reference} leaves {len(j)} motions of {poses} poses, needed at least 2; '
+            'use a smaller n or record longer')
+    return i, j
+
+
+def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:
+    """Form the relative motions of both sensors for a reference selection.
+
+    Raises
+    ------
+    ConfigError, MotionError
+        As ``reference_indices``.
+
+    """
+    i, j = reference_indices(reference, len(pairs))
+    return MotionPairs(
+        reference=normal_reference(reference),
+        i=i,
+        j=j,
+        A=se3.inverse(pairs.poses_a[i]) @ pairs.poses_a[j],
+        B=se3.inverse(pairs.poses_b[i]) @ pairs.poses_b[j],
+        pairs=pairs,
+    )

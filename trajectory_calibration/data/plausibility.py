@@ -1,0 +1,77 @@
+"""Questions about the units of stamps and positions that no drive explains.
+
+Files carry numbers without units. A drive in millimetres, or with times in microseconds, breaks
+nothing on the way in; the steps and the speed tell that it is none. They only raise a question:
+rare recordings are as slow, and rare vehicles as fast.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.data.trajectory import Trajectory
+
+# Median speed, metres a second, above which no ground vehicle and hardly a drone moves.
+_FASTEST = 100.0
+
+# Seconds over which it is taken: between two poses of a fast sensor lies more noise than way.
+_SPEED_SPAN_NS = 1_000_000_000
+
+# A median step, seconds, that no trajectory of use has, and the longest that a divisor may leave.
+_LONGEST_STEP = 10.0
+_USUAL_STEP = 1.0
+
+# What seconds are divided by where they are none, and the factor that rates of sensors differ by.
+_UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
+_RATES = 10.0
+
+
+def time_doubts(trajectory: Trajectory) -> tuple[str, ...]:
+    """Return a question about the unit of the stamps, where the steps are far too long."""
+    step = trajectory.usual_step_ns * 1e-9
+    if step <= _LONGEST_STEP:
+        return ()
+    unit, divisor = next(
+        (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
+    question = (
+        f'{trajectory.sensor_frame}: the median step between its poses is {step:.6g} s: are its '
+        f'times in {unit}? Then divide them by {divisor}')
+    return (question,)
+
+
+def position_doubts(trajectory: Trajectory) -> tuple[str, ...]:
+    """Return a question about the unit of the positions, where they move far too fast."""
+    every = max(1, min(round(_SPEED_SPAN_NS / trajectory.usual_step_ns), len(trajectory) - 1))
+    way = np.linalg.norm(
+        trajectory.positions[every:] - trajectory.positions[:-every], axis=1)
+    time_s = (trajectory.stamps_ns[every:] - trajectory.stamps_ns[:-every]) * 1e-9
+    speed = float(np.median(way / time_s))
+    if speed <= _FASTEST:
+        return ()
+    question = (
+        f'{trajectory.sensor_frame}: its median speed is {speed:.3g} m/s: are its positions in '
+        'metres? Divide millimetres by 1000')
+    return (question,)
+
+
+def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[str, ...]:
+    """Return questions about the unit of the stamps of two trajectories that do not match.
+
+    Those about each of them, or else one where they have no time in common and their steps
+    differ by what units differ by.
+    """
+    found = (*time_doubts(a), *time_doubts(b))
+    common = a.stamps_ns[0] <= b.stamps_ns[-1] and b.stamps_ns[0] <= a.stamps_ns[-1]
+    if found or common:
+        return found
+    short, long_ = sorted((a, b), key=lambda trajectory: trajectory.usual_step_ns)
+    factor = long_.usual_step_ns / short.usual_step_ns
+    for unit, divisor in _UNITS:
+        if 1 / _RATES < factor / float(divisor) < _RATES:
+            question = (
+                f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
+                f'and {long_.usual_step_ns * 1e-9:.3g} s in {long_.sensor_frame}: are the times '
+                f'of {long_.sensor_frame} in {unit}, those of {short.sensor_frame} in seconds? '
+                f'Then divide them by {divisor}')
+            return (question,)
+    return ()

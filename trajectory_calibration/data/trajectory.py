@@ -1,0 +1,287 @@
+"""A trajectory: where one sensor says that it was, and when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# How far a quaternion's norm, or a rotation matrix's columns, may be from unit length. Up to
+# the first, the deviation is what rounding to six digits leaves and is removed without a word;
+# up to the second it is removed with a warning; beyond, the numbers are not a rotation.
+ROUNDING_TOLERANCE = 1e-5
+ROTATION_TOLERANCE = 1e-2
+
+# Largest position along an axis, metres: far beyond every map in metres on Earth, and small
+# enough that squares and differences keep their digits in all that follows.
+MAX_POSITION = 1e9
+
+_YEAR_NS = 365.25 * 86400e9
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The poses of one sensor in the world of its own SLAM; validated once, then read-only.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64
+        Time of each pose, nanoseconds, strictly increasing.
+    poses : (N, 4, 4) float64
+        ``T_world_sensor`` at each stamp, metres.
+    world_frame, sensor_frame : str
+        Names of the two frames.
+    warnings : tuple of str
+        What was repaired on the way in: samples reordered, duplicates dropped, rotations
+        normalised. Passed on to the result.
+
+    Raises
+    ------
+    TrajectoryError
+        Wrong shapes, fewer than two poses, numbers that are not finite or beyond
+        ``MAX_POSITION``, matrices that are not rigid motions.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    world_frame: str = 'map'
+    sensor_frame: str = 'sensor'
+    warnings: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        stamps_ns, stamp_order, notes = _checked_stamps(self.stamps_ns)
+        poses = _real_numbers(self.poses, 'poses', 'one (4, 4) matrix per stamp')
+        if poses.shape != (len(stamps_ns), 4, 4):
+            raise TrajectoryError(
+                f'poses have the shape {poses.shape}, needed ({len(stamps_ns)}, 4, 4) to match '
+                f'{len(stamps_ns)} stamps; pass one homogeneous matrix per stamp')
+        notes += _repair_rotations(poses)
+        if stamp_order is not None:
+            stamps_ns, poses = stamps_ns[stamp_order], poses[stamp_order]
+        if len(stamps_ns) < 2:
+            raise TrajectoryError(
+                f'{self.sensor_frame}: {len(stamps_ns)} pose with a stamp of its own, needed at '
+                'least 2; record while the sensor moves')
+        stamps_ns.setflags(write=False)
+        poses.setflags(write=False)
+        object.__setattr__(self, 'stamps_ns', stamps_ns)
+        object.__setattr__(self, 'poses', poses)
+        object.__setattr__(self, 'warnings', (
+            *self.warnings, *(f'{self.sensor_frame}: {note}' for note in notes)))
+
+    @classmethod
+    def from_quaternions(
+        cls,
+        stamps_ns: ArrayLike,
+        positions: ArrayLike,
+        quaternions_xyzw: ArrayLike,
+        world_frame: str = 'map',
+        sensor_frame: str = 'sensor',
+        warnings: tuple[str, ...] = (),
+    ) -> Trajectory:
+        """Build a trajectory from (N,) stamps, (N, 3) metres, (N, 4) quaternions x, y, z, w.
+
+        Raises
+        ------
+        TrajectoryError
+            As the class, and for quaternions whose norm is off 1 by more than 0.01.
+
+        """
+        p = _real_numbers(positions, 'positions', 'one row x, y, z per stamp')
+        q = _real_numbers(quaternions_xyzw, 'quaternions', 'one row x, y, z, w per stamp')
+        if p.ndim != 2 or p.shape[1] != 3 or q.shape != (len(p), 4):
+            raise TrajectoryError(
+                f'positions have the shape {p.shape} and quaternions {q.shape}, needed (N, 3) '
+                'and (N, 4)')
+        _require_finite(np.concatenate([p, q], axis=1))
+        with np.errstate(over='ignore'):
+            norm = np.linalg.norm(q, axis=1)
+        note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
+        if note:
+            warnings = (*warnings, f'{sensor_frame}: {note}')
+        R = se3.quaternion_to_rotation(q / norm[:, None])
+        return cls(_stamp_array(stamps_ns), se3.from_rotation_translation(R, p),
+                   world_frame, sensor_frame, warnings)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def scaled(self, scale: float) -> Trajectory:
+        """Return the trajectory with its distances multiplied; itself where that is one."""
+        if scale == 1.0:
+            return self
+        poses = self.poses.copy()
+        poses[:, :3, 3] *= scale
+        return Trajectory(self.stamps_ns, poses, self.world_frame, self.sensor_frame,
+                          self.warnings)
+
+    def retimed(self, drift: float, from_ns: int) -> Trajectory:
+        """Return the trajectory as a clock that runs faster by ``drift`` (s/s) would have it.
+
+        At ``from_ns`` the clocks agree. Itself where the drift is zero.
+        """
+        if drift == 0.0:
+            return self
+        apart = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
+        stamps_ns = self.stamps_ns + apart
+        return Trajectory(
+            stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.warnings)
+
+    @cached_property
+    def usual_step_ns(self) -> float:
+        """Median of the times from each pose to the next, nanoseconds."""
+        return float(np.median(np.diff(self.stamps_ns)))
+
+    @cached_property
+    def turns(self) -> FloatArray:
+        """(N - 1, 3) rotation vectors from each pose to the next, in the axes of the sensor."""
+        R = self.rotations
+        return se3.log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+
+    @property
+    def positions(self) -> FloatArray:
+        """(N, 3) positions of the sensor in its world, metres."""
+        return self.poses[:, :3, 3]
+
+    @property
+    def rotations(self) -> FloatArray:
+        """(N, 3, 3) orientations of the sensor in its world."""
+        return self.poses[:, :3, :3]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first pose to the last."""
+        return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
+
+
+def pose_faults(
+    poses: FloatArray,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which of (N, 7) poses (x, y, z, qx, qy, qz, qw) are none.
+
+    Those that are not finite; of the others, those whose quaternion is not of unit length; of the
+    rest, those that lie beyond ``MAX_POSITION``.
+    """
+    finite = np.asarray(np.isfinite(poses).all(axis=1))
+    # The square of a huge number is infinite, which is no unit length either.
+    with np.errstate(over='ignore'):
+        norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
+    unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
+    near = (np.abs(poses[:, :3]) <= MAX_POSITION).all(axis=1)
+    return ~finite, finite & ~unit, finite & unit & ~near
+
+
+def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
+    """Return a new float64 array; raise TrajectoryError for rows of unequal length or words."""
+    try:
+        array = np.asarray(values)
+        if np.iscomplexobj(array):
+            raise TrajectoryError(f'{what} are complex, needed real numbers: {needed}')
+        return np.array(array, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError) as error:
+        if isinstance(error, TrajectoryError):
+            raise
+        raise TrajectoryError(
+            f'{what} are no array of numbers ({error}), needed {needed}') from error
+
+
+def _stamp_array(stamps: ArrayLike) -> NDArray[Any]:
+    """Return what was given as an array; raise TrajectoryError for rows of unequal length."""
+    try:
+        return np.asarray(stamps)
+    except ValueError as error:
+        raise TrajectoryError(
+            f'stamps are no array of numbers ({error}), needed one integer per pose') from error
+
+
+def _checked_stamps(
+    stamps: ArrayLike,
+) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, list[str]]:
+    """Return the stamps, the order that sorts them and drops duplicates (or None), and notes."""
+    array = _stamp_array(stamps)
+    if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
+        raise TrajectoryError(
+            f'stamps are {array.dtype} of shape {array.shape}, needed one-dimensional integer '
+            'nanoseconds; multiply seconds by 1e9 and round')
+    if array.dtype == np.uint64 and array.max(initial=0) > np.iinfo(np.int64).max:
+        raise TrajectoryError(
+            f'stamp {int(np.argmax(array))} is {array.max()} ns, needed less than 2^63, the year '
+            '2262; is the unit nanoseconds?')
+    stamps_ns = np.array(array, dtype=np.int64)
+    if len(stamps_ns):
+        span = int(stamps_ns.max()) - int(stamps_ns.min())
+        if span > np.iinfo(np.int64).max:
+            raise TrajectoryError(
+                f'the stamps reach over {span / _YEAR_NS:.0f} years, needed less than 292; remove '
+                'the strays, or is the unit nanoseconds?')
+    later, earlier = stamps_ns[1:], stamps_ns[:-1]
+    if np.all(later > earlier):
+        return stamps_ns, None, []
+    notes = []
+    backwards = int(np.count_nonzero(later < earlier))
+    if backwards:
+        notes.append(f'time ran backwards {backwards} times; the poses were sorted by stamp')
+    order = np.argsort(stamps_ns, kind='stable')
+    ordered = stamps_ns[order]
+    first = np.concatenate([[True], ordered[1:] > ordered[:-1]])
+    duplicates = int(np.count_nonzero(~first))
+    if duplicates:
+        notes.append(f'{duplicates} poses repeat the stamp of another and were dropped')
+    return stamps_ns, order[first], notes
+
+
+def _repair_rotations(poses: FloatArray) -> list[str]:
+    """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
+    _require_finite(poses.reshape(len(poses), 16))
+    far = np.abs(poses[:, :3, 3]).max(axis=1, initial=0.0)
+    if far.max(initial=0.0) > MAX_POSITION:
+        k = int(np.argmax(far > MAX_POSITION))
+        raise TrajectoryError(
+            f'pose {k} lies {far[k]:.3g} m from the origin along an axis, needed at most '
+            f'{MAX_POSITION:.0e} m; remove what the SLAM wrote while it was lost, or is the unit '
+            'metres?')
+    if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
+        raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
+    R = poses[:, :3, :3]
+    # Squares of numbers that are far from a rotation's overflow; the judge refuses what they give.
+    with np.errstate(over='ignore', invalid='ignore'):
+        deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        deviation = np.where(np.linalg.det(R) > 0, deviation, np.inf)
+    note = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
+    if deviation.max(initial=0.0) > 1e-14:
+        poses[:, :3, :3] = se3.nearest_rotation(R)
+    poses[:, 3] = [0, 0, 0, 1]
+    return [note] if note else []
+
+
+def _require_finite(rows: FloatArray) -> None:
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad):
+        raise TrajectoryError(
+            f'pose {bad[0]} is not finite ({len(bad)} of {len(rows)} are not); remove what the '
+            'SLAM wrote while it was lost')
+
+
+def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str | None:
+    """Return a warning if the worst deviation deserves one; raise beyond the tolerance."""
+    if not len(deviation):
+        return None
+    k = int(np.argmax(deviation))
+    worst = float(deviation[k])
+    # Written so that NaN fails.
+    if not worst <= ROTATION_TOLERANCE:
+        raise TrajectoryError(
+            f'pose {k}: {what} is {shown[k]:.6g}, off by more than {ROTATION_TOLERANCE}; is the '
+            'order x, y, z, w (not w first), and are the columns the right ones?')
+    if worst <= ROUNDING_TOLERANCE:
+        return None
+    count = int(np.count_nonzero(deviation > ROUNDING_TOLERANCE))
+    return f'{count} rotations were normalised (off by up to {worst:.2g})'

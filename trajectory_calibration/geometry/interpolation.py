@@ -1,0 +1,114 @@
+"""Poses of a trajectory between its stamps."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# A neighbour turned by more than this may have turned the other way round.
+_FARTHEST_TURN = np.pi / 2
+
+# The twist changes from one step to the next by this many times the median over so many poses
+# around only where a SLAM jumped, or a simulated driver leapt. Of a jump a sixteenth would get
+# into the next interval, too little to be set aside; in white noise that matters from four times
+# the median on, which noise itself reaches by chance.
+_LEAP, _AROUND = 8.0, 11
+
+
+def left_of(stamps_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return with which of at least two sorted stamps the step begins that holds each time.
+
+    Outside of all of them it is the first or the last step.
+    """
+    return np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+
+
+def interpolate(
+    stamps_ns: NDArray[np.int64],
+    poses: FloatArray,
+    at_ns: NDArray[np.int64],
+    *,
+    max_gap_ns: int | None,
+) -> FloatArray:
+    """Return the (K, 4, 4) poses of a trajectory at (K,) times.
+
+    Between two poses: the cubic through these two and one more on either side, in the tangent
+    space at the geodesic's point. It is exact where the twist is constant, its error falls with
+    the fourth power of the step where the motion is smooth (that of the geodesic: with the
+    second), and it is the same path in whichever frames the sensor and its world are, for the
+    tangents of ``G T X`` are those of ``T`` times a matrix. Without a neighbour on one side (an
+    end, a gap longer than ``max_gap_ns``, a leap of the twist), the quadratic through three
+    poses; with none, the geodesic.
+
+    The geodesic also remains where stamps are so uneven that the squared weights add up to more
+    than 1: no guess is noisier than a pose is.
+
+    Parameters
+    ----------
+    stamps_ns : (N,) int64
+        Strictly increasing, N >= 2.
+    poses : (N, 4, 4)
+        Of the trajectory.
+    at_ns : (K,) int64
+        Times outside the span continue the first and the last geodesic.
+    max_gap_ns : int or None
+        A pose beyond a longer gap is no neighbour; None: it always is.
+
+    """
+    left = left_of(stamps_ns, at_ns)
+    since, gap = at_ns - stamps_ns[left], stamps_ns[left + 1] - stamps_ns[left]
+    result = se3.interpolate(poses[left], poses[left + 1], since / gap)
+    between = np.flatnonzero((since > 0) & (since < gap))
+    if not len(between):
+        return result
+    around = left[between, None] + np.arange(-1, 3)
+    known = (around >= 0) & (around < len(stamps_ns))
+    around = np.clip(around, 0, len(stamps_ns) - 1)
+    if max_gap_ns is not None:
+        known[:, [0, 3]] &= np.diff(stamps_ns[around], axis=1)[:, [0, 2]] <= max_gap_ns
+    origin = se3.inverse(result[between])
+    tangents = np.stack([se3.log_se3(origin @ poses[k]) for k in around.T], axis=1)
+    known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _FARTHEST_TURN
+    leaps = _leaps(stamps_ns, poses)
+    known[:, 0] &= ~leaps[around[:, 1]]
+    known[:, 3] &= ~leaps[around[:, 2]]
+    weights = _lagrange((stamps_ns[around] - at_ns[between, None]) * 1e-9, known)
+    sound = np.einsum('ij,ij->i', weights, weights) <= 1
+    steps = np.einsum('ij,ijk->ik', weights[sound], tangents[sound])
+    between = between[sound]
+    result[between] = result[between] @ se3.exp_se3(steps)
+    return result
+
+
+def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]:
+    """Tell at which of the (N,) poses the twist is another one all of a sudden."""
+    leaps = np.zeros(len(poses), bool)
+    if len(poses) < _AROUND:
+        return leaps
+    seconds = np.diff(stamps_ns)[:, None] * 1e-9
+    twists = se3.log_se3(se3.inverse(poses[:-1]) @ poses[1:]) / seconds
+    # The second divided difference, which is what the cubic adds to the geodesic.
+    change = np.diff(twists, axis=0) / (seconds[:-1] + seconds[1:])
+    for part in (change[:, :3], change[:, 3:]):
+        size = np.linalg.norm(part, axis=1)
+        padded = np.pad(size, _AROUND // 2, mode='reflect')
+        usual = np.median(sliding_window_view(padded, _AROUND), axis=1)
+        leaps[1:-1] |= size > _LEAP * usual
+    return leaps
+
+
+def _lagrange(nodes: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
+    """Return (K, M) weights of the known of (K, M) nodes for the polynomial's value at zero."""
+    weights = known.astype(np.float64)
+    count = nodes.shape[1]
+    for k in range(count):
+        for other in range(count):
+            if other != k:
+                weights[:, k] *= np.divide(
+                    nodes[:, other], nodes[:, other] - nodes[:, k], out=np.ones(len(nodes)),
+                    where=known[:, other] & known[:, k])
+    return weights

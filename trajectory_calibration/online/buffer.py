@@ -1,0 +1,426 @@
+"""The poses of one sensor as they arrive: bounded, checked, ready to be calibrated from.
+
+Nothing here imports ROS, so that a replay of a bag runs through the same code as the node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.trajectory import (
+    MAX_POSITION,
+    pose_faults,
+    ROTATION_TOLERANCE,
+    Trajectory,
+)
+from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# A stamp this far behind the newest came late; further behind, or this far ahead, either it is
+# wrong or the clock jumped. The poses that follow decide which.
+JUMP_NS = 5_000_000_000
+# So many poses in a row must agree before a jump of the clock, or other frames, are believed.
+CONFIRMATIONS = 3
+# And they must go on for so long: at 200 Hz three poses are over in 10 ms, which a receiver that
+# starts anew fills with wrong stamps.
+CONFIRMATION_NS = 1_000_000_000
+
+_FIRST_ALLOCATION = 1024
+
+# Position x, y, z (metres) and quaternion x, y, z, w.
+PoseTuple = tuple[float, ...]
+# Names of the world frame and of the sensor frame; empty where a message has none.
+Frames = tuple[str, str]
+
+_NO_FRAMES = ('', '')
+
+
+class Refusal(str, Enum):
+    """Why a pose did not enter the buffer; the words of the diagnostics."""
+
+    NO_STAMP = 'no stamp'
+    NOT_FINITE = 'not finite'
+    NOT_UNIT = 'not a unit quaternion'
+    TOO_FAR = 'too far away'
+    DUPLICATE = 'duplicate stamp'
+    OUT_OF_ORDER = 'out of order'
+    STRAY_STAMP = 'stray stamp'
+    OTHER_FRAME = 'other frame'
+    UNREADABLE = 'unreadable'
+    EMPTY_PATH = 'path without a usable pose'
+
+
+# Of these the unit is the message, not the pose.
+_OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
+
+
+@dataclass(frozen=True)
+class BufferLimits:
+    """How much a buffer keeps.
+
+    Attributes
+    ----------
+    max_poses : poses; the oldest leave first.
+    max_age_s : seconds between the oldest and the newest pose.
+    still_after_s : seconds without motion after which a sensor stands still; from then on only
+        the newest pose of the standstill is kept.
+    still_distance, still_angle_deg : metres and degrees; less is no motion. With a distance of 0
+        everything is motion.
+
+    """
+
+    max_poses: int = 100_000
+    max_age_s: float = 28_800.0
+    still_after_s: float = 2.0
+    still_distance: float = 0.02
+    still_angle_deg: float = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What a buffer held at one moment; independent of it, cheap to send to another process.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64, strictly increasing.
+    poses : (N, 7) position x, y, z (metres) and quaternion x, y, z, w in the world.
+    world_frame, sensor_frame : names of the two frames.
+    warnings : what was refused, for the result.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    world_frame: str
+    sensor_frame: str
+    warnings: tuple[str, ...] = ()
+
+    def trajectory(self) -> Trajectory:
+        """Return the poses as a Trajectory; raises TrajectoryError for fewer than two."""
+        if len(self.stamps_ns) < 2:
+            notes = ''.join(f'; {note}' for note in self.warnings)
+            raise TrajectoryError(
+                f'{self.sensor_frame}: {len(self.stamps_ns)} poses received, needed at least 2; '
+                f'check that the topic is published and drive{notes}')
+        return Trajectory.from_quaternions(
+            self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
+            self.sensor_frame, self.warnings)
+
+
+class PoseBuffer:
+    """The newest poses of one sensor, in order, in arrays that do not grow beyond a bound.
+
+    A bad pose is counted and refused, never an error: a vehicle keeps driving.
+
+    Attributes
+    ----------
+    received : messages since the start.
+    still : poses dropped because the sensor stood still.
+    clock_jumps : times the clock went back and the buffer started anew.
+    frame_changes : times poses held gave way to poses in other frames.
+    frames_before : the frames of those that gave way last.
+    forgotten : poses that it held when the clock went back, or other frames were believed.
+    refused : count of refused poses for each Refusal.
+    frames : of the messages held.
+    generation : changes whenever poses were forgotten other than by age or number.
+
+    """
+
+    def __init__(self, limits: BufferLimits) -> None:
+        self._limits = limits
+        self._max_age_ns = round(limits.max_age_s * 1e9)
+        self._still_after_ns = round(limits.still_after_s * 1e9)
+        self._still_distance_squared = limits.still_distance**2
+        self._still_cosine = math.cos(math.radians(limits.still_angle_deg) / 2)
+        self.generation = 0
+        self.received = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all poses, frames and counts."""
+        self._received_before = self.received
+        self.still = 0
+        self.clock_jumps = 0
+        self.forgotten = 0
+        self.frame_changes = 0
+        self.frames_before = _NO_FRAMES
+        self.refused = dict.fromkeys(Refusal, 0)
+        self._forget_poses()
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @property
+    def messages(self) -> int:
+        """Messages since the start or the last ``clear``."""
+        return self.received - self._received_before
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory held for poses."""
+        return self._stamps.nbytes + self._poses.nbytes
+
+    @property
+    def span_ns(self) -> tuple[int, int] | None:
+        """Stamps of the oldest and the newest pose, or None where there is none."""
+        if not len(self):
+            return None
+        return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return a view of all stamps."""
+        return self._stamps[self._start:self._end]
+
+    def after(self, stamp_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return views of the (K,) stamps after ``stamp_ns`` and of their (K, 7) poses."""
+        first = self._start + int(np.searchsorted(self.stamps_ns, stamp_ns, side='right'))
+        return self._stamps[first:self._end], self._poses[first:self._end]
+
+    def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
+        """Take one pose as it arrives, or count why not."""
+        self.received += 1
+        fault = _fault(pose) if stamp_ns else Refusal.NO_STAMP
+        if fault is not None:
+            self.refused[fault] += 1
+            return
+        if frames != self.frames:
+            if len(self) >= CONFIRMATIONS:
+                self._consider_frames(stamp_ns, frames, pose)
+                return
+            self._change_frames(frames)
+        self._strangers.clear()
+        step = stamp_ns - self._last_ns
+        if 0 < step <= JUMP_NS or not len(self):
+            self._drop_strays()
+            self._store(stamp_ns, pose)
+        elif step == 0:
+            self.refused[Refusal.DUPLICATE] += 1
+        elif -JUMP_NS <= step < 0:
+            self.refused[Refusal.OUT_OF_ORDER] += 1
+        else:
+            self._consider_jump(stamp_ns, pose)
+
+    def count_unreadable(self) -> None:
+        """Count a message of which nothing could be read."""
+        self.received += 1
+        self.refused[Refusal.UNREADABLE] += 1
+
+    def replace(
+        self, stamps_ns: NDArray[np.int64], poses: FloatArray, frames: Frames,
+    ) -> None:
+        """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
+
+        For a SLAM that publishes its optimised path again and again. The counts of refused and
+        dropped poses are those of this trajectory; those of messages go on. A trajectory without
+        a usable pose is counted and replaces nothing.
+        """
+        self.received += 1
+        stamped = stamps_ns != 0
+        faults = pose_faults(poses)
+        good = np.flatnonzero(stamped & ~np.any(faults, axis=0))
+        order = good[np.argsort(stamps_ns[good], kind='stable')]
+        first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
+        order = order[first]
+        strays = self._strays(stamps_ns[order])
+        self.refused = {why: self.refused[why] if why in _OF_MESSAGES else 0 for why in Refusal}
+        for why, refused in (
+                (Refusal.NO_STAMP, ~stamped),
+                *zip((Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
+                     (stamped & bad for bad in faults), strict=True),
+                (Refusal.DUPLICATE, ~first)):
+            self.refused[why] = int(np.count_nonzero(refused))
+        self.refused[Refusal.STRAY_STAMP] = strays
+        if not len(order):
+            self.refused[Refusal.EMPTY_PATH] += 1
+            return
+        self._change_frames(frames)
+        self._fill(stamps_ns[order][:len(order) - strays], poses[order][:len(order) - strays])
+
+    def _strays(self, stamps_ns: NDArray[np.int64]) -> int:
+        """Return how many of the last of the (N,) sorted stamps are wrong.
+
+        Fewer than CONFIRMATIONS are, if only without them so many poses are within the age.
+        """
+        for strays in range(min(CONFIRMATIONS, len(stamps_ns))):
+            rest = stamps_ns[:len(stamps_ns) - strays]
+            oldest = np.searchsorted(rest, rest[-1] - self._max_age_ns)
+            if len(rest) - oldest >= CONFIRMATIONS:
+                return strays
+        return 0
+
+    def _fill(self, stamps_ns: NDArray[np.int64], poses: FloatArray) -> None:
+        """Hold of a whole trajectory what would be left of its poses one by one."""
+        self.still = 0
+        kept: list[int] = []
+        for k, (stamp_ns, pose) in enumerate(zip(
+                stamps_ns.tolist(), map(tuple, poses.tolist()), strict=True)):
+            if self._stands(stamp_ns, pose):
+                kept[-1] = k
+                self.still += 1
+            else:
+                kept.append(k)
+            self._last_ns = stamp_ns
+        oldest = int(np.searchsorted(stamps_ns[kept], self._last_ns - self._max_age_ns))
+        kept = kept[oldest:][-self._limits.max_poses:]
+        self._stamps, self._poses = stamps_ns[kept].astype(np.int64), poses[kept].astype(float)
+        self._start, self._end = 0, len(kept)
+
+    def snapshot(self, name: str, sensor_frame: str = '') -> Track:
+        """Return a copy of what is held.
+
+        Parameters
+        ----------
+        name : str
+            Of the sensor where neither ``sensor_frame`` nor the messages name one.
+        sensor_frame : str
+            Overrides the name in the messages.
+
+        """
+        world, sensor = self.frames
+        frame = sensor_frame or sensor or name
+        return Track(
+            self._stamps[self._start:self._end].copy(),
+            self._poses[self._start:self._end].copy(),
+            world or 'map',
+            frame,
+            tuple(f'{frame}: {note}' for note in [self.refusals()] if note))
+
+    def refusals(self) -> str:
+        """Return the counts of refused poses in words, or '' where none was."""
+        counts = [f'{count} {why.value}' for why, count in self.refused.items() if count]
+        total = sum(self.refused.values())
+        return f'{total} poses refused ({", ".join(counts)})' if total else ''
+
+    def _forget_poses(self, frames: Frames = _NO_FRAMES) -> None:
+        self.frames = frames
+        self.generation += 1
+        self._stamps = np.empty(0, np.int64)
+        self._poses = np.empty((0, 7))
+        self._start = self._end = 0
+        self._last_ns = 0
+        self._anchor: tuple[int, PoseTuple] | None = None
+        self._jump: list[tuple[int, PoseTuple]] = []
+        # Poses in a row in frames that are not those held, and these frames.
+        self._strangers: list[tuple[int, PoseTuple]] = []
+        self._strange_frames = _NO_FRAMES
+
+    def _change_frames(self, frames: Frames) -> None:
+        if len(self) and frames != self.frames:
+            self.frame_changes += 1
+            self.frames_before = self.frames
+        self._forget_poses(frames)
+
+    def _consider_frames(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
+        """Refuse a pose in other frames, unless those before it were in these, too."""
+        self.refused[Refusal.OTHER_FRAME] += 1
+        if frames != self._strange_frames:
+            self._strangers.clear()
+            self._strange_frames = frames
+        step = stamp_ns - self._strangers[-1][0] if self._strangers else 1
+        if -JUMP_NS <= step <= 0:
+            return
+        # Of two poses so far apart, one has a wrong stamp: the later one decides which.
+        if abs(step) > JUMP_NS:
+            self._strangers.clear()
+        self._strangers.append((stamp_ns, pose))
+        if not self._is_confirmed(self._strangers):
+            return
+        confirmed = self._strangers
+        self.refused[Refusal.OTHER_FRAME] -= len(confirmed)
+        self.forgotten += len(self)
+        self._change_frames(frames)
+        for stamp, held in confirmed:
+            self._store(stamp, held)
+
+    def _drop_strays(self) -> None:
+        if self._jump:
+            self.refused[Refusal.STRAY_STAMP] += len(self._jump)
+            self._jump.clear()
+
+    def _consider_jump(self, stamp_ns: int, pose: PoseTuple) -> None:
+        """Hold a pose whose stamp is far off until the next ones show whether the clock jumped."""
+        if self._jump and stamp_ns <= self._jump[-1][0]:
+            self._drop_strays()
+        self._jump.append((stamp_ns, pose))
+        if not self._is_confirmed(self._jump):
+            return
+        confirmed, self._jump = self._jump, []
+        if confirmed[0][0] < self._last_ns:
+            self.clock_jumps += 1
+            self.forgotten += len(self)
+            self._forget_poses(self.frames)
+        for stamp, held in confirmed:
+            self._store(stamp, held)
+
+    def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:
+        """Return whether poses in a row that contradict what is held are to be believed."""
+        # Of a clock that hardly moves no more are held back than a buffer keeps.
+        if len(row) >= self._limits.max_poses:
+            return True
+        return len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= CONFIRMATION_NS
+
+    def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
+        if self._stands(stamp_ns, pose):
+            self._end -= 1
+            self.still += 1
+        self._last_ns = stamp_ns
+        if self._end == len(self._stamps):
+            self._make_room()
+        self._stamps[self._end] = stamp_ns
+        self._poses[self._end] = pose
+        self._end += 1
+        oldest = stamp_ns - self._max_age_ns
+        while (self._end - self._start > self._limits.max_poses
+               or self._stamps[self._start] < oldest):
+            self._start += 1
+
+    def _stands(self, stamp_ns: int, pose: PoseTuple) -> bool:
+        """Return whether the pose takes the place of the newest one: a standstill goes on.
+
+        When motion resumes, the pose just before it is there to interpolate from.
+        """
+        if self._anchor is None or self._moved(self._anchor[1], pose):
+            self._anchor = stamp_ns, pose
+            return False
+        anchor_ns = self._anchor[0]
+        return stamp_ns - anchor_ns > self._still_after_ns and self._last_ns > anchor_ns
+
+    def _moved(self, before: PoseTuple, after: PoseTuple) -> bool:
+        x, y, z = after[0] - before[0], after[1] - before[1], after[2] - before[2]
+        if x * x + y * y + z * z >= self._still_distance_squared:
+            return True
+        cosine = abs(before[3] * after[3] + before[4] * after[4] + before[5] * after[5]
+                     + before[6] * after[6])
+        return cosine < self._still_cosine
+
+    def _make_room(self) -> None:
+        """Move the poses held to the front of arrays of twice their number, within the bound.
+
+        With room for twice ``max_poses`` the move happens once in ``max_poses`` poses.
+        """
+        held = slice(self._start, self._end)
+        count = self._end - self._start
+        size = min(max(2 * count, _FIRST_ALLOCATION), 2 * self._limits.max_poses)
+        stamps, poses = np.empty(size, np.int64), np.empty((size, 7))
+        stamps[:count], poses[:count] = self._stamps[held], self._poses[held]
+        self._stamps, self._poses = stamps, poses
+        self._start, self._end = 0, count
+
+
+def _fault(pose: PoseTuple) -> Refusal | None:
+    x, y, z, qx, qy, qz, qw = pose
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    # Written so that NaN fails.
+    unit = abs(norm - 1.0) <= ROTATION_TOLERANCE
+    if (unit and abs(x) <= MAX_POSITION and abs(y) <= MAX_POSITION
+            and abs(z) <= MAX_POSITION):
+        return None
+    if not all(map(math.isfinite, pose)):
+        return Refusal.NOT_FINITE
+    return Refusal.TOO_FAR if unit else Refusal.NOT_UNIT

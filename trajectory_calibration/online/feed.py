@@ -1,0 +1,76 @@
+"""From the bytes of a message to a pose in a buffer; the same for a topic and for a bag.
+
+Nothing here imports ROS. Building a message object costs ten times what the rest of a callback
+does, so the pose is read where it lies; the general way remains for what is not plain CDR.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from trajectory_calibration.online.buffer import PoseBuffer
+from trajectory_calibration.sources.cdr import parse_path, parse_pose, PATH, PathPoses, StampedPose
+from trajectory_calibration.sources.topics import TopicTrack
+
+
+class General(Protocol):
+    """Reads a serialized message whatever its layout; None where it is damaged."""
+
+    def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
+        """Return the pose of a message."""
+        ...
+
+    def path(self, message: bytes) -> PathPoses | None:
+        """Return the poses of a Path."""
+        ...
+
+
+class PoseFeed:
+    """Puts the serialized messages of one topic into a buffer.
+
+    Parameters
+    ----------
+    msgtype : str
+        One of ``sources.cdr.TRAJECTORY_TYPES``.
+    buffer : PoseBuffer
+        That takes the poses.
+    general : General
+        For the messages that are not plain CDR.
+
+    """
+
+    def __init__(self, msgtype: str, buffer: PoseBuffer, general: General) -> None:
+        self._msgtype, self._buffer, self._general = msgtype, buffer, general
+
+    def __call__(self, message: bytes) -> None:
+        """Take one message; what is wrong with it is counted by the buffer."""
+        if self._msgtype == PATH:
+            self._take_path(message)
+            return
+        sample = parse_pose(message, self._msgtype) or self._general.pose(message, self._msgtype)
+        if sample is None:
+            self._buffer.count_unreadable()
+            return
+        self._buffer.append(*sample)
+
+    def _take_path(self, message: bytes) -> None:
+        path = parse_path(message) or self._general.path(message)
+        if path is None:
+            self._buffer.count_unreadable()
+            return
+        self._buffer.replace(path.stamps_ns, path.poses, (path.frame, ''))
+
+
+def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:
+    """Put what a bag holds of a topic into a buffer, message by message as the node would."""
+    for _ in range(track.unreadable):
+        buffer.count_unreadable()
+    if track.msgtype == PATH:
+        # Each path replaces the one before; the track is the last one.
+        frames = track.frames[0] if track.frames else ('', '')
+        buffer.replace(track.stamps_ns, track.poses, frames)
+        return
+    frames_of_messages = [track.frames[k] for k in track.frame_index.tolist()]
+    for sample in zip(track.stamps_ns.tolist(), frames_of_messages,
+                      map(tuple, track.poses.tolist()), strict=True):
+        buffer.append(*sample)

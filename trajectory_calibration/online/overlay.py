@@ -1,0 +1,69 @@
+"""Both tracks in one world, so that a person sees whether they fit. Nothing here imports ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.time_alignment.align import match_at
+from trajectory_calibration.time_alignment.clock_offset import Clock
+
+# More poses than a person can tell apart only slow the display down.
+_MOST_POSES = 2000
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Sensor a where a itself and where b says that it was.
+
+    Attributes
+    ----------
+    world_frame : of a.
+    stamps_ns : (K,) int64.
+    poses_a : (K, 4, 4), as a reported them.
+    poses_b : (K, 4, 4), ``Z B_k T_a_b^-1``: as b reported them, carried to a by the extrinsic and
+        into the world of a by the Z that fits all of them best.
+
+    """
+
+    world_frame: str
+    stamps_ns: NDArray[np.int64]
+    poses_a: FloatArray
+    poses_b: FloatArray
+
+
+def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
+    """Lay the tracks of a calibration over each other.
+
+    Raises
+    ------
+    AssociationError
+        As ``associate``; not for trajectories that have just been calibrated.
+
+    """
+    clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
+    pairs = match_at(a, b, clock, result.config)
+    chosen = slice(None, None, -(-len(pairs) // _MOST_POSES))
+    poses_a, poses_b = pairs.poses_a[chosen], pairs.poses_b[chosen].copy()
+    poses_b[:, :3, 3] *= result.scale
+    poses_b = poses_b @ se3.inverse(result.T_a_b)
+    return Overlay(a.world_frame, pairs.stamps_ns[chosen], poses_a,
+                   _world_transform(poses_a, poses_b) @ poses_b)
+
+
+def _world_transform(poses_a: FloatArray, poses_b: FloatArray) -> FloatArray:
+    """Return the (4, 4) Z for which ``Z poses_b`` is closest to ``poses_a``, both (K, 4, 4).
+
+    The rotation is the mean of those of the single poses, the translation the mean of what
+    then remains: a fit of the positions alone would be free to turn about a straight drive.
+    """
+    rotations = poses_a[:, :3, :3] @ np.swapaxes(poses_b[:, :3, :3], 1, 2)
+    R = se3.nearest_rotation(rotations.mean(axis=0))
+    t = (poses_a[:, :3, 3] - poses_b[:, :3, 3] @ R.T).mean(axis=0)
+    return se3.from_rotation_translation(R, t)

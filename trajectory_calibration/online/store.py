@@ -1,0 +1,133 @@
+"""Results on disk: one file for each, numbered, never overwritten. Nothing here imports ROS."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+import itertools
+import os
+from pathlib import Path
+import re
+
+from trajectory_calibration.config.yaml_file import write_yaml
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.result import CalibrationResult
+
+# Bytes of a file that is read. A result has a few thousand; one with half of 1,000,000 motions
+# rejected at random, which it lists, has 3,000,000.
+_LARGEST = 4_000_000
+
+
+class ResultStore:
+    """The results of one node in a folder.
+
+    Files are named after the node and a running number: no name comes from a message, and no
+    order depends on a clock that a vehicle may set after it has started. A dot stands for each
+    slash of the node's name, which itself holds none: no two nodes have the same files.
+
+    Parameters
+    ----------
+    folder : str
+        Made where it does not exist; ``~`` is the home.
+    node_name : str
+        Full name of the node; two nodes may share a folder.
+
+    Raises
+    ------
+    ConfigError
+        The folder cannot be found, made or written to.
+
+    """
+
+    def __init__(self, folder: str, node_name: str) -> None:
+        try:
+            self._folder = Path(folder).expanduser().absolute()
+        except RuntimeError as error:
+            raise ConfigError(
+                f'result_directory {folder} names the home of nobody known here; give its full '
+                'path') from error
+        self._prefix = node_name.strip('/').replace('/', '.')
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f'result_directory {self._folder} cannot be made: {error.strerror}') from error
+        if not os.access(self._folder, os.W_OK | os.X_OK):
+            raise ConfigError(
+                f'result_directory {self._folder} cannot be written to; correct its owner or its '
+                'permissions')
+
+    def save(self, result: CalibrationResult) -> Path:
+        """Write a result, whole or not at all, and return its file.
+
+        Raises
+        ------
+        ResultError
+            The file or the folder cannot be written; the earlier files are as they were.
+
+        """
+        newest = max((number for number, _ in self._files()), default=0)
+        for number in itertools.count(newest + 1):
+            path = self._folder / f'{self._prefix}_{number:06d}.yaml'
+            # Another node of this name may take the same number at the same moment.
+            with suppress(FileExistsError):
+                write_yaml(path, result.to_dict(), overwrite=False)
+                break
+        return path
+
+    def latest(self) -> tuple[Path, CalibrationResult] | None:
+        """Return the newest result that can be read, with its file; None where there is none.
+
+        Raises
+        ------
+        ResultError
+            There are files, and none can be read, or the folder has gone.
+
+        """
+        failures = []
+        for _, path in sorted(self._files(), reverse=True):
+            loaded = _load(path)
+            if isinstance(loaded, CalibrationResult):
+                return path, loaded
+            failures.append(loaded)
+        if failures:
+            raise failures[0]
+        return None
+
+    def _files(self) -> list[tuple[int, Path]]:
+        """Return number and path of each result; what waits for a writer, as a FIFO, is none."""
+        pattern = re.compile(rf'{re.escape(self._prefix)}_(\d+)\.yaml')
+        try:
+            paths = list(self._folder.iterdir())
+        except OSError as error:
+            raise ResultError(
+                f'{self._folder} cannot be read: {error.strerror}; put it back, or start the node '
+                'with another result_directory') from error
+        found = ((pattern.fullmatch(path.name), path) for path in paths)
+        return [(int(match[1]), path) for match, path in found if match and _is_file(path)]
+
+
+def _is_file(path: Path) -> bool:
+    # The permissions of the folder may have changed.
+    with suppress(OSError):
+        return path.is_file()
+    return False
+
+
+def _load(path: Path) -> CalibrationResult | ResultError:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        return ResultError(f'{path} cannot be read as a result: {error}')
+    if size > _LARGEST:
+        return ResultError(
+            f'{path} holds {size} bytes, needed at most {_LARGEST}: it is no result of this node')
+    try:
+        result = CalibrationResult.load(path)
+        # No message can carry a name that is no UTF-8; YAML can.
+        f'{result.frame_a}{result.frame_b}'.encode()
+    except ResultError as error:
+        return error
+    except UnicodeEncodeError as error:
+        return ResultError(
+            f'{path}: the name of a frame is {error.object!a}, needed text; correct the file')
+    return result

@@ -1,0 +1,130 @@
+"""What a trajectory offers to a calibration, before there is a second one."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.assessment.observability import axis_name, translation_gain
+from trajectory_calibration.data.plausibility import position_doubts, time_doubts
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Motions are taken over this time, about that of a turn at a crossing; longer ones let a SLAM
+# drift, shorter ones drown in its noise.
+_WINDOW_NS = 2_000_000_000
+
+# Residual per metre of error of the extrinsic's translation, over motions of that length. Below
+# the first, what turns is no more than the noise of a SLAM; below the second, the translation is
+# found to decimetres at best.
+_NOTHING = 0.02
+_WEAK = 0.1
+
+# A step between poses this many times the usual one is a gap.
+_GAP_FACTOR = 5.0
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """One trajectory in numbers and words.
+
+    Attributes
+    ----------
+    name : the file or the topic.
+    kind : the format or the type.
+    sensor_frame, world_frame : names of its frames.
+    poses : how many.
+    start_s, duration_s : time of the first pose, and from there to the last, seconds.
+    rate_hz : of the median step.
+    gaps : steps more than five times the median.
+    longest_gap_s : the longest step, seconds.
+    path_length_m : sum of the distances between poses; noise adds to it.
+    turned_deg : root mean square rotation about x, y, z of the sensor in two seconds, degrees.
+    motion : 'sufficient', 'weak' or 'insufficient' for a calibration.
+    advice : the same in words, and what to drive.
+    warnings : what was repaired or left out, and questions about its units.
+
+    """
+
+    name: str
+    kind: str
+    sensor_frame: str
+    world_frame: str
+    poses: int
+    start_s: float
+    duration_s: float
+    rate_hz: float
+    gaps: int
+    longest_gap_s: float
+    path_length_m: float
+    turned_deg: tuple[float, ...]
+    motion: str
+    advice: str
+    warnings: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return asdict(self)
+
+
+def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspection:
+    """Describe a trajectory, and judge whether its motion can determine an extrinsic."""
+    steps_s = np.diff(trajectory.stamps_ns) * 1e-9
+    usual_s = float(np.median(steps_s))
+    rotations = _motions_over_window(trajectory)
+    turned = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
+    gain, axes = translation_gain(rotations)
+    motion, advice = _judge(gain, axes)
+    return Inspection(
+        name=name,
+        kind=kind,
+        sensor_frame=trajectory.sensor_frame,
+        world_frame=trajectory.world_frame,
+        poses=len(trajectory),
+        start_s=float(trajectory.stamps_ns[0]) * 1e-9,
+        duration_s=trajectory.duration_s,
+        rate_hz=1.0 / usual_s,
+        gaps=int(np.count_nonzero(steps_s > _GAP_FACTOR * usual_s)),
+        longest_gap_s=float(steps_s.max()),
+        path_length_m=float(
+            np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum()),
+        turned_deg=tuple(np.rad2deg(turned).tolist()),
+        motion=motion,
+        advice=advice,
+        warnings=(*trajectory.warnings, *time_doubts(trajectory),
+                  *position_doubts(trajectory)),
+    )
+
+
+def _motions_over_window(trajectory: Trajectory) -> FloatArray:
+    """Return the (M, 3, 3) rotations of the sensor over the window, in its own axes."""
+    stamps_ns = trajectory.stamps_ns
+    window_ns = min(_WINDOW_NS, int(stamps_ns[-1] - stamps_ns[0]))
+    end = np.searchsorted(stamps_ns, stamps_ns + window_ns)
+    start = np.flatnonzero(end < len(stamps_ns))
+    R = trajectory.rotations
+    rotations: FloatArray = np.swapaxes(R[start], 1, 2) @ R[end[start]]
+    return rotations
+
+
+def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:
+    """Return a word and a sentence; ``gain`` ascends, ``axes`` are its rows."""
+    # Rotations about one axis leave a shift along it unseen: the weakest direction of the shift
+    # is the axis of the turns.
+    axis = axis_name(axes[0])
+    if gain[1] < _NOTHING:
+        return 'insufficient', (
+            'it hardly turned: neither the rotation nor the translation can be determined; drive '
+            'curves, and a ramp or a bank')
+    if gain[0] < _NOTHING:
+        return 'insufficient', (
+            f'it turned about {axis} only: the translation along {axis} will not be determined; '
+            'drive a ramp or a bank')
+    if gain[0] < _WEAK:
+        return 'weak', (
+            f'it turned mostly about {axis}: the translation along {axis} will be uncertain; '
+            'drive steeper ramps or banks, or longer')
+    return 'sufficient', 'it turned about enough axes to determine rotation and translation'

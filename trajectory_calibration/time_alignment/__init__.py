@@ -1,0 +1,1 @@
+"""Two clocks become one: offset, drift, interpolation, pairing."""

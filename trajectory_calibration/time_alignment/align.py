@@ -1,0 +1,47 @@
+"""From two trajectories to pairs of poses, as the settings have it: clocks first, then poses."""
+
+from __future__ import annotations
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.plausibility import doubts_of_both
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.time_alignment.clock_offset import Clock, synchronise
+from trajectory_calibration.time_alignment.pairing import associate
+
+
+def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
+    """Return what the clock of b needed, and the pairs.
+
+    Raises
+    ------
+    AssociationError
+        As ``synchronise`` and ``associate``, with a question where stamps of another unit may be
+        why.
+
+    """
+    try:
+        clock = synchronise(
+            a, b, config.time_offset, config.mode('time_offset'), config.max_time_offset)
+        return clock, match_at(a, b, clock, config)
+    except AssociationError as error:
+        doubts = doubts_of_both(a, b)
+        if not doubts:
+            raise
+        # The question first: an offset or a longer gap would only hide a wrong unit.
+        raise AssociationError(f'{"; ".join(doubts)}; {error}') from error
+
+
+def match_at(
+    a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+) -> PosePairs:
+    """Return the pairs for a known clock of b; raises as ``associate``."""
+    return associate(
+        a,
+        b.retimed(clock.drift, clock.drift_from_ns),
+        method=config.association,
+        max_difference_ns=round(config.max_time_difference * 1e9),
+        max_gap_ns=round(config.max_gap * 1e9),
+        time_offset_ns=round(clock.offset_s * 1e9),
+    )

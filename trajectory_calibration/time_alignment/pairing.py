@@ -1,0 +1,240 @@
+"""Which pose of a belongs to which pose of b: association in time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.pose_pairs import (
+    AssociationSummary,
+    METHODS,
+    MIN_PAIRS,
+    PosePairs,
+)
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import AssociationError, ConfigError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.interpolation import interpolate, left_of
+
+# Stamps closer than this are one instant: rounding to microseconds.
+COINCIDENCE_NS = 1_000_000
+
+# 'auto' keeps to poses of b this near to a pose of a, or in a gap this short (the step of a
+# sensor at 10 Hz, and half of it more), where this share of all is: over longer gaps the twist
+# changes, and what interpolation guesses wrong is more than a coinciding pose is worth.
+_NEAR_NS = 10_000_000
+_SHORT_GAP_NS = 150_000_000
+_NEAR_SHARE = 0.5
+
+# 'auto' interpolates the other one where the steps of a are this many times those of b: chords
+# between sparse poses are shorter than the way, which would pass for an error of scale.
+_SPARSER = 1.5
+
+
+def associate(
+    a: Trajectory,
+    b: Trajectory,
+    *,
+    method: str = 'auto',
+    max_difference_ns: int = 20_000_000,
+    max_gap_ns: int = 500_000_000,
+    time_offset_ns: int = 0,
+) -> PosePairs:
+    """Pair the poses of two trajectories over their common time span.
+
+    Parameters
+    ----------
+    a, b : Trajectory
+        The parent and the child sensor.
+    method : 'auto', 'interpolate' or 'nearest'
+        ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates the one with
+        more poses a second, a where they are about equal, but where at least half of the poses
+        of the other lie within 10 ms of a pose of it or in a gap of at most 0.15 s, only these:
+        keyframes of one trigger need no guess of what happened between two poses.
+    max_difference_ns : int
+        For 'nearest': the largest difference of stamps in a pair.
+    max_gap_ns : int
+        For 'interpolate': the longest gap of a that is bridged.
+    time_offset_ns : int
+        Added to the stamps of b: the time in the clock of a of a pose of b.
+
+    Raises
+    ------
+    AssociationError
+        No overlap in time, or fewer than three pairs.
+    ConfigError
+        An unknown method.
+
+    """
+    if method not in METHODS:
+        raise ConfigError(f'method {method!r} is unknown; needed one of {", ".join(METHODS)}')
+    if method == 'nearest':
+        return associate_nearest(
+            a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
+    if method == 'auto' and is_sparser(a.stamps_ns, b.stamps_ns):
+        # Asked here, because the offset that it names is one to add to the stamps of b.
+        _require_overlap(a, b.stamps_ns + time_offset_ns, b.sensor_frame, time_offset_ns)
+        pairs = associate_by_interpolation(
+            b, a, max_gap_ns=max_gap_ns, time_offset_ns=-time_offset_ns, prefer_near=True)
+        return _mirrored(pairs, time_offset_ns)
+    return associate_by_interpolation(
+        a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns,
+        prefer_near=method == 'auto')
+
+
+def is_sparser(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> bool:
+    """Tell whether 'auto' interpolates b at the stamps of a rather than a at those of b."""
+    if min(len(stamps_a), len(stamps_b)) < 2:
+        return False
+    step_a, step_b = (np.median(np.diff(stamps)) for stamps in (stamps_a, stamps_b))
+    return bool(step_a > _SPARSER * step_b)
+
+
+def _mirrored(pairs: PosePairs, time_offset_ns: int) -> PosePairs:
+    """Return pairs of a and b, in the clock of a, from those of b and a in the clock of b."""
+    summary = replace(
+        pairs.summary, time_offset_s=time_offset_ns * 1e-9, poses_a=pairs.summary.poses_b,
+        poses_b=pairs.summary.poses_a, stamps_of='a')
+    return PosePairs(pairs.stamps_ns + time_offset_ns, pairs.poses_b, pairs.poses_a, summary)
+
+
+def associate_nearest(
+    a: Trajectory, b: Trajectory, *, max_difference_ns: int, time_offset_ns: int = 0,
+) -> PosePairs:
+    """Pair each pose of b with the nearest of a, one to one, within ``max_difference_ns``.
+
+    Two poses are paired when each is the nearest of the other, which leaves no pose in two
+    pairs and needs no order of preference. The stamps of the pairs are those of b in the clock
+    of a.
+    """
+    stamps_b = b.stamps_ns + time_offset_ns
+    _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
+    nearest_a = _nearest(a.stamps_ns, stamps_b)
+    nearest_b = _nearest(stamps_b, a.stamps_ns)
+    mutual = nearest_b[nearest_a] == np.arange(len(b))
+    near = np.abs(a.stamps_ns[nearest_a] - stamps_b) <= max_difference_ns
+    j = np.flatnonzero(mutual & near)
+    i = nearest_a[j]
+    outside = _outside(a, stamps_b)
+    summary = _summarise(
+        'nearest', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
+        np.count_nonzero(~outside & ~near))
+    _require_pairs(summary, a, b, f'no closer than {max_difference_ns * 1e-9:g} s; raise '
+                   'max_time_difference, set time_offset, or use interpolation')
+    return PosePairs(stamps_b[j], a.poses[i], b.poses[j], summary)
+
+
+def associate_by_interpolation(
+    a: Trajectory,
+    b: Trajectory,
+    *,
+    max_gap_ns: int | None,
+    time_offset_ns: int = 0,
+    extrapolate: bool = False,
+    prefer_near: bool = False,
+) -> PosePairs:
+    """Evaluate a at the stamps of b, as ``interpolation.interpolate`` does.
+
+    Only inside the span of a, and only between poses of a at most ``max_gap_ns`` apart (None:
+    any gap), because a vehicle does not hold its twist over seconds. A pose of b that
+    coincides with one of a needs no neighbour and is kept whatever the gap.
+
+    ``prefer_near`` keeps to the poses of b within 10 ms of one of a, or in a gap of at most
+    0.15 s, where these are at least half of all. ``extrapolate`` keeps to the geodesic between two
+    poses and continues the first and the last one beyond the ends of a. It exists to repeat the
+    protocol of published tables and is wrong for anything else.
+    """
+    stamps_b = b.stamps_ns + time_offset_ns
+    _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
+    left = left_of(a.stamps_ns, stamps_b)
+    right = left + 1
+    gap = a.stamps_ns[right] - a.stamps_ns[left]
+    outside = _outside(a, stamps_b)
+    since_left = stamps_b - a.stamps_ns[left]
+    to_nearest = np.minimum(np.abs(since_left), np.abs(gap - since_left))
+    bridged = np.ones(len(b), bool) if max_gap_ns is None else gap <= max_gap_ns
+    bridged |= to_nearest <= COINCIDENCE_NS
+    usable = bridged if extrapolate else bridged & ~outside
+    near = usable & ((to_nearest <= _NEAR_NS) | (gap <= _SHORT_GAP_NS))
+    between = 0
+    if prefer_near and near.sum() >= _NEAR_SHARE * usable.sum():
+        between = int(np.count_nonzero(usable & ~near))
+        usable = near
+    j = np.flatnonzero(usable)
+    if extrapolate:
+        poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], since_left[j] / gap[j])
+    else:
+        poses_a = interpolate(a.stamps_ns, a.poses, stamps_b[j], max_gap_ns=max_gap_ns)
+    summary = _summarise(
+        'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
+        np.count_nonzero(~outside & ~bridged), between)
+    _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
+                   f'than {(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or '
+                   'leave it to association auto which sensor is interpolated')
+    return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
+
+
+def _nearest(sorted_stamps: NDArray[np.int64], queries: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return for each query the index of the nearest of at least two sorted stamps."""
+    right = left_of(sorted_stamps, queries) + 1
+    left_is_nearer = queries - sorted_stamps[right - 1] <= sorted_stamps[right] - queries
+    return right - left_is_nearer
+
+
+def _outside(a: Trajectory, stamps_b: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (stamps_b < a.stamps_ns[0]) | (stamps_b > a.stamps_ns[-1])
+
+
+def _require_overlap(
+    a: Trajectory, stamps_b: NDArray[np.int64], name_b: str, time_offset_ns: int,
+) -> None:
+    start_a, end_a = int(a.stamps_ns[0]), int(a.stamps_ns[-1])
+    start_b, end_b = int(stamps_b[0]), int(stamps_b[-1])
+    if start_b <= end_a and start_a <= end_b:
+        return
+    order = (f'{a.sensor_frame} ends at {end_a * 1e-9:.3f} s, {name_b} starts at '
+             f'{start_b * 1e-9:.3f} s' if end_a < start_b else
+             f'{name_b} ends at {end_b * 1e-9:.3f} s, {a.sensor_frame} starts at '
+             f'{start_a * 1e-9:.3f} s')
+    offset = (start_a - start_b) * 1e-9
+    raise AssociationError(
+        f'no overlap in time: {order}; looks like an offset of {offset:.3f} s between the '
+        f'starts; if both recorded the same drive, set time_offset to about '
+        f'{offset + time_offset_ns * 1e-9:.3f}')
+
+
+def _require_pairs(
+    summary: AssociationSummary, a: Trajectory, b: Trajectory, why: str,
+) -> None:
+    if summary.pairs < MIN_PAIRS:
+        raise AssociationError(
+            f'only {summary.pairs} pairs of poses from {summary.poses_a} and {summary.poses_b}, '
+            f'needed at least {MIN_PAIRS}: {summary.outside} poses of {b.sensor_frame} lie '
+            f'outside the time of {a.sensor_frame}, {why}')
+
+
+def _summarise(
+    method: str,
+    a: Trajectory,
+    stamps_b: NDArray[np.int64],
+    paired: NDArray[np.intp],
+    time_offset_ns: int,
+    outside: int | np.intp,
+    in_gaps: int | np.intp,
+    between: int = 0,
+) -> AssociationSummary:
+    difference = np.abs(a.stamps_ns[_nearest(a.stamps_ns, stamps_b[paired])] - stamps_b[paired])
+    return AssociationSummary(
+        method=method,
+        time_offset_s=time_offset_ns * 1e-9,
+        poses_a=len(a),
+        poses_b=len(stamps_b),
+        pairs=len(paired),
+        outside=int(outside),
+        in_gaps=int(in_gaps),
+        between=between,
+        median_difference_s=float(np.median(difference)) * 1e-9 if len(paired) else 0.0,
+        max_difference_s=float(difference.max(initial=0)) * 1e-9,
+    )
