@@ -91,7 +91,8 @@ def test_a_damaged_bag_is_inspected_with_a_warning(tmp_path, capsys):
     file.write_bytes(file.read_bytes()[:40000])
     status, out, _ = run(capsys, 'inspect', bag)
     assert status == 0
-    assert f'warning: {file} is damaged' in ' '.join(out.split())
+    out = ' '.join(out.split())
+    assert f'warning: {file} is damaged' in out
     assert 'of 80 messages' in out
 
 

@@ -23,7 +23,8 @@ def from_file():
 
 def test_the_parameter_file_is_what_the_options_say():
     assert (ROOT / 'config' / 'calibration.yaml').read_text() == options.parameter_file(), (
-        'write it anew: python3 -m trajectory_calibration.online.options > config/calibration.yaml')
+        'write it anew: python3 -m trajectory_calibration.online.options '
+        '> config/calibration.yaml')
 
 
 def test_there_is_an_option_for_every_setting_of_a_calibration():

@@ -281,9 +281,9 @@ def _with_prior(root: FloatArray, prior: Prior) -> FloatArray:
     known = np.isfinite(prior.std)
     std = np.maximum(prior.std[known], _FIXED)
     # As a factorisation: a component that is fixed has 1e13 times the weight of an open one.
-    triangle: FloatArray = np.linalg.qr(
-        np.concatenate([root[known] / std[:, None], np.eye(root.shape[1])]), mode='r')
-    half = np.linalg.solve(np.swapaxes(triangle, 0, 1), root.T)
+    triangle = np.asarray(np.linalg.qr(
+        np.concatenate([root[known] / std[:, None], np.eye(root.shape[1])]), mode='r'))
+    half = np.linalg.solve(triangle.T, root.T)
     covariance: FloatArray = half.T @ half
     return covariance
 
