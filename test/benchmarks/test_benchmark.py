@@ -314,7 +314,8 @@ def run_main(capsys, *arguments):
 
 
 def test_the_command_writes_tables_and_figures(tmp_path, capsys):
-    command = ('--runs', '2', '--seed', '5', '--solvers', 'park,dnlo', '--jobs', '1', '--output', tmp_path)
+    command = ('--runs', '2', '--seed', '5', '--solvers', 'park,dnlo', '--jobs', '1',
+               '--output', tmp_path)
     status, out, err = run_main(capsys, *command)
     assert (status, err) == (0, '')
     assert out == f'{tmp_path / "summary.md"}\n'
