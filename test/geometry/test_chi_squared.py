@@ -1,0 +1,22 @@
+"""Our chi-squared functions agree with SciPy's."""
+
+import pytest
+from scipy.stats import chi2
+
+from trajectory_calibration.geometry import chi_squared
+
+
+@pytest.mark.parametrize('k', [1, 2, 3, 6, 9, 30, 300, 5000])
+def test_probabilities_and_quantiles_are_those_of_scipy(k):
+    for probability in (0.99, 0.5, 0.05, 1e-3, 1e-6, 1e-12):
+        value = chi_squared.quantile(k, probability)
+        assert value == pytest.approx(chi2.isf(probability, k), rel=1e-10)
+        assert chi_squared.exceedance(value, k) == pytest.approx(probability, rel=1e-9)
+    for value in (1e-3, 0.3 * k, k, 1.2 * k, 3 * k):
+        assert chi_squared.exceedance(value, k) == pytest.approx(
+            chi2.sf(value, k), rel=1e-10, abs=1e-300)
+
+
+def test_the_default_probability_is_the_stated_false_alarm():
+    assert chi_squared.quantile(3) == pytest.approx(chi2.isf(chi_squared.FALSE_ALARM, 3))
+    assert chi_squared.exceedance(-1.0, 3) == 1.0
