@@ -285,7 +285,7 @@ def test_one_file_under_two_names_is_refused(files, tmp_path, monkeypatch, capsy
     status, out, err = run(capsys, 'calibrate', 'a.txt', other, *SOLVER)
     assert (status, out) == (2, '')
     assert err == (
-        f'error: A and B, a.txt and {other}, are the same file; needed two sensors\n')
+        f'error: a.txt and {other} are the same; two sensors are needed\n')
 
 
 def test_configuration_file_and_options_over_it(files, tmp_path, capsys):
@@ -335,8 +335,8 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--max-gap', 'nan'], 2, 'error: max_gap is nan, needed'),
     (['{a}', '{b}', '--reference', 'D4'], 2, "error: reference 'D4' is unknown"),
     (['{a}', '{b}', '--config', '{a}.no'], 2, 'cannot be read as settings: [Errno 2]'),
-    (['{a}', '{a}'], 2, 'error: A and B are both {a}; needed two sensors'),
-    (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: --times-a is for files'),
+    (['{a}', '{a}'], 2, 'error: {a} is given twice; two sensors are needed'),
+    (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: times is for files; /x is read from a bag'),
     (['{a}.no', '{b}'], 1, 'error: {a}.no cannot be read: No such file or directory'),
     (['{bag}', '{b}'], 1, 'give the bag with --bag'),
     (['{a}', '{b}', '--format-a', 'euroc'], 1,

@@ -6,20 +6,16 @@ import argparse
 import json
 from pathlib import Path
 
-from trajectory_calibration.cli.options import (
-    add_config_options,
-    config_from_arguments,
-    require_two,
-)
-from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
+from trajectory_calibration.cli.options import add_config_options, config_from_arguments
+from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_yaml
-from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
 from trajectory_calibration.outputs.screen import format_result
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.sources.files import FileSource, FORMATS, read_transform
+from trajectory_calibration.sources.files import read_transform
 
 RESULT_FILE = 'result.yaml'
 TRANSFORM_FILE = 'T_a_b.txt'
@@ -31,19 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'calibrate', help='find the extrinsic of two trajectories',
         usage='%(prog)s [options] A B',
         description='Find the pose of sensor b in sensor a from two trajectories.')
-    parser.add_argument('a', metavar='A', help='file of sensor a, the parent; a topic with --bag')
-    parser.add_argument('b', metavar='B', help='file of sensor b, the child; a topic with --bag')
-    parser.add_argument(
-        '--bag', action='append', type=Path, metavar='BAG',
-        help='bag that holds A and B as topics; may be given several times')
-    for name in 'ab':
-        parser.add_argument(
-            f'--frame-{name}', metavar='FRAME', help=f'name of the frame of sensor {name}')
-        parser.add_argument(
-            f'--format-{name}', choices=FORMATS,
-            help='format of the file (default: told from its first row)')
-        parser.add_argument(
-            f'--times-{name}', type=Path, metavar='FILE', help='times of KITTI poses, seconds')
+    add_input_arguments(parser)
     parser.add_argument(
         '--ground-truth', type=Path, metavar='FILE',
         help='known pose of b in a, one row [t] x y z qx qy qz qw or a saved result (.yaml)')
@@ -59,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate and print the result."""
     config = config_from_arguments(arguments)
     truth = None if arguments.ground_truth is None else _read_truth(arguments.ground_truth)
-    trajectory_a, trajectory_b = _load(arguments)
+    trajectory_a, trajectory_b = load_pair(arguments)
     with running_clock('calibrating'):
         result = calibrate(trajectory_a, trajectory_b, config)
     if arguments.output is not None:
@@ -72,44 +56,6 @@ def _read_truth(path: Path) -> FloatArray:
     if path.suffix in ('.yaml', '.yml'):
         return CalibrationResult.load(path).T_a_b
     return read_transform(path)
-
-
-def _load(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
-    """Read A and B."""
-    require_two(arguments.a, arguments.b)
-    if arguments.bag:
-        return _load_topics(arguments)
-    if _same_file(arguments.a, arguments.b):
-        raise ConfigError(
-            f'A and B, {arguments.a} and {arguments.b}, are the same file; needed two sensors')
-    with running_clock('reading'):
-        return (
-            FileSource(Path(arguments.a), arguments.format_a, arguments.times_a,
-                       arguments.frame_a or 'sensor_a').load(),
-            FileSource(Path(arguments.b), arguments.format_b, arguments.times_b,
-                       arguments.frame_b or 'sensor_b').load())
-
-
-def _same_file(a: str, b: str) -> bool:
-    try:
-        return Path(a).samefile(b)
-    except OSError:
-        # Reading it says what is wrong.
-        return False
-
-
-def _load_topics(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
-    """Read the topics A and B in one pass over the bags."""
-    for name in ('format_a', 'format_b', 'times_a', 'times_b'):
-        if getattr(arguments, name) is not None:
-            raise ConfigError(f'--{name.replace("_", "-")} is for files; with --bag, A and B are '
-                              'topics, whose messages carry their format and time')
-    # rosbags loads where a bag is read, and only there.
-    from trajectory_calibration.sources.bags import open_bags
-    with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
-        tracks = reader.read([arguments.a, arguments.b], progress)
-    return (tracks[arguments.a].to_trajectory(arguments.frame_a),
-            tracks[arguments.b].to_trajectory(arguments.frame_b))
 
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:

@@ -10,6 +10,7 @@ import os
 import sys
 
 from trajectory_calibration.cli import calibrate, fleet, inspect, replay, simulate
+from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, pip_name
 from trajectory_calibration.version import __version__
@@ -73,7 +74,7 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 
 def _run(argv: Sequence[str]) -> int:
     try:
-        arguments = _parser().parse_args(join_negative_values(argv))
+        arguments = _parser().parse_args(split_bags(join_negative_values(argv)))
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
     status: int = arguments.run(arguments)

@@ -33,6 +33,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
 FORMATS = ('tum', 'kitti', 'euroc')
+QUATERNION_ORDERS = ('xyzw', 'wxyz')
+TIME_UNITS = ('s', 'ms', 'us', 'ns')
 
 _COLUMNS = {'tum': 8, 'kitti': 12, 'euroc': 8}
 # NumPy takes more characters for space than these.
@@ -65,6 +67,9 @@ class FileSource:
     times: str | os.PathLike[str] | None = None
     sensor_frame: str = 'sensor'
     world_frame: str = 'map'
+    columns: str | None = None
+    quaternion_order: str | None = None
+    time_unit: str | None = None
 
     def load(self) -> Trajectory:
         """Read the file.
@@ -77,6 +82,8 @@ class FileSource:
             The file cannot be read, is empty, is not text, or a line of it does not fit.
 
         """
+        if any((self.columns, self.quaternion_order, self.time_unit)):
+            raise ConfigError('columns, quaternion_order and time_unit are not available yet')
         if self.file_format not in (None, *FORMATS):
             raise ConfigError(
                 f'format {self.file_format!r} is unknown; needed one of {", ".join(FORMATS)}')

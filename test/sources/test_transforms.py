@@ -1,0 +1,176 @@
+"""Chains of transforms: the poses that tf2 would give, and why there are none."""
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import ConfigError, TopicError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.sources.transforms import ChainFollower, parse_tf, TransformTree
+
+STEP_NS = 20_000_000
+
+
+def moving(count, seed, step_ns=STEP_NS, start_ns=0):
+    """Return stamps and (count, 7) poses of a smooth random motion."""
+    rng = np.random.default_rng(seed)
+    phi = np.cumsum(rng.normal(0, 0.01, (count, 3)), axis=0)
+    q = se3.rotation_to_quaternion(se3.exp_so3(phi))
+    return (start_ns + np.arange(count) * step_ns,
+            np.column_stack([np.cumsum(rng.normal(0, 0.05, (count, 3)), axis=0), q]))
+
+
+def matrix(poses):
+    return se3.from_rotation_translation(
+        se3.quaternion_to_rotation(poses[:, 3:]), poses[:, :3])
+
+
+def robot(count=200):
+    """Return a tree map -> odom -> base_link -> lidar, and the pose of the lidar in the map."""
+    tree = TransformTree()
+    stamps_ns, odom = moving(count, 1)
+    slow_ns, correction = moving(count // 5 + 1, 2, 5 * STEP_NS)
+    mount = np.array([[0.5, 0.0, 1.2, 0.0, 0.0, 0.6, 0.8]])
+    tree.extend('/map', 'odom', slow_ns, correction)
+    tree.extend('odom', 'base_link', stamps_ns, odom)
+    tree.extend('base_link', 'lidar', [0], mount, static=True)
+    return tree, stamps_ns, correction, odom, mount
+
+
+def test_a_chain_is_the_product_of_its_edges_where_the_stamps_coincide():
+    tree, stamps_ns, correction, odom, mount = robot()
+    found_ns, poses = tree.compose('map', 'lidar')
+    np.testing.assert_array_equal(found_ns, stamps_ns)
+    expected = matrix(correction[:40]) @ matrix(odom[::5]) @ matrix(mount)
+    np.testing.assert_allclose(poses[::5], expected, atol=1e-12)
+
+
+def test_between_the_stamps_of_an_edge_it_is_interpolated_as_tf2_does():
+    tree, _, correction, odom, _ = robot()
+    _, poses = tree.compose('map', 'base_link')
+    between = poses[2] @ se3.inverse(matrix(odom[2:3]))[0]
+    np.testing.assert_allclose(
+        between[:3, 3], 0.6 * correction[0, :3] + 0.4 * correction[1, :3], atol=1e-12)
+    arc = se3.interpolate(*matrix(correction[:2]), 0.4)
+    np.testing.assert_allclose(between[:3, :3], arc[:3, :3], atol=1e-12)
+
+
+def test_a_chain_may_lead_upwards():
+    tree, *_ = robot()
+    down_ns, down = tree.compose('map', 'lidar')
+    up_ns, up = tree.compose('lidar', 'map')
+    np.testing.assert_array_equal(up_ns, down_ns)
+    np.testing.assert_allclose(up @ down, np.broadcast_to(np.eye(4), up.shape), atol=1e-12)
+
+
+def test_a_frame_that_is_published_often_but_hardly_changes_gives_no_stamps():
+    tree, stamps_ns, *_ = robot()
+    fast_ns = np.arange(0, 4_000_000_000, 5_000_000)
+    tree.extend('world', 'map', fast_ns, np.repeat([[0.0, 0, 0, 0, 0, 0, 1]], len(fast_ns), 0))
+    found_ns, _ = tree.compose('world', 'base_link')
+    np.testing.assert_array_equal(found_ns, stamps_ns)
+
+
+def test_nothing_is_extrapolated_or_interpolated_across_gaps():
+    tree = TransformTree()
+    stamps_ns, odom = moving(1000, 1)
+    late_ns, correction = moving(200, 2, 5 * STEP_NS, start_ns=100 * STEP_NS)
+    keep = (late_ns < 400 * STEP_NS) | (late_ns > 600 * STEP_NS)
+    tree.extend('odom', 'base', stamps_ns, odom)
+    tree.extend('map', 'odom', late_ns[keep], correction[keep])
+    notes = []
+    found_ns, _ = tree.compose('map', 'base', notes)
+    assert found_ns[0] == late_ns[0]
+    assert not ((found_ns > late_ns[keep][59]) & (found_ns < late_ns[keep][60])).any()
+    assert len(notes) == 1
+    assert 'poses left out: map -> odom has no transform at their time' in notes[0]
+
+
+def test_a_restart_keeps_the_longest_part_and_says_so():
+    tree = TransformTree()
+    stamps_ns, odom = moving(300, 1)
+    again = np.concatenate([stamps_ns[:100], stamps_ns])
+    tree.extend('odom', 'base', again, np.concatenate([odom[:100] + [9, 0, 0, 0, 0, 0, 0], odom]))
+    notes = []
+    found_ns, poses = tree.compose('odom', 'base', notes)
+    np.testing.assert_array_equal(found_ns, stamps_ns)
+    np.testing.assert_array_equal(poses[:, :3, 3], odom[:, :3])
+    assert 'ran backwards 1 times' in notes[0]
+    assert 'kept 300 of 400 transforms' in notes[0]
+
+
+def test_repeated_and_swapped_stamps_are_put_in_order():
+    tree = TransformTree()
+    stamps_ns, odom = moving(50, 1)
+    order = np.r_[0, 2, 1, 1, 3:50]
+    tree.extend('odom', 'base', stamps_ns[order], odom[order])
+    found_ns, poses = tree.compose('odom', 'base')
+    np.testing.assert_array_equal(found_ns, stamps_ns)
+    np.testing.assert_array_equal(poses[:, :3, 3], odom[:, :3])
+
+
+def test_why_there_is_no_chain():
+    tree, *_ = robot()
+    tree.extend('earth', 'gps', [0, 1], moving(2, 3)[1])
+    with pytest.raises(TopicError, match='no frame nowhere in the transforms; frames: base_link,'):
+        tree.chain('map', 'nowhere')
+    with pytest.raises(TopicError, match='no transform connects map and gps: there are separate '
+                       'trees, of map with base_link, lidar, odom and gps with earth'):
+        tree.chain('map', 'gps')
+    with pytest.raises(TopicError, match='nothing moves between these frames: base_link -> lidar'):
+        tree.compose('base_link', 'lidar')
+    with pytest.raises(TopicError, match='are one frame'):
+        tree.chain('map', '/map'.strip('/'))
+    tree.extend('map', 'base_link', *moving(9, 4))
+    with pytest.raises(TopicError, match='two ways from map to lidar: base_link has the parents '
+                       'odom and map'):
+        tree.chain('map', 'lidar')
+    assert len(tree.chain('base_link', 'lidar')) == 1
+
+
+def test_the_pairs_that_can_serve():
+    tree, *_ = robot()
+    assert tree.pairs() == [('map', 'odom'), ('map', 'base_link'), ('odom', 'base_link')]
+
+
+@pytest.mark.parametrize('every', [1, 7, 1000])
+def test_a_follower_gives_the_same_while_the_transforms_arrive(every):
+    tree, stamps_ns, *_ = robot()
+    events = sorted(
+        (stamp_ns, edge.parent, edge.child, pose, edge.static)
+        for edge in tree.edges for stamp_ns, pose in zip(
+            edge.samples[0].tolist(), edge.samples[1].tolist(), strict=True))
+    follower = ChainFollower('map', 'lidar')
+    parts = []
+    for k, (stamp_ns, parent, child, pose, static) in enumerate(events):
+        follower.add(parent, child, stamp_ns, pose, static=static)
+        if k % every == 0:
+            parts.append(follower.take())
+    parts.append(follower.take())
+    expected_ns, expected = tree.compose('map', 'lidar')
+    np.testing.assert_array_equal(np.concatenate([part[0] for part in parts]), expected_ns)
+    np.testing.assert_allclose(np.concatenate([part[1] for part in parts]), expected, atol=1e-12)
+    assert sum(len(edge.samples[0]) for edge in follower._tree.edges) < 20
+    assert len(expected_ns) == len(stamps_ns)
+
+
+def test_a_follower_says_what_it_waits_for():
+    follower = ChainFollower('map', 'base')
+    assert 'is /tf published?' in follower.waiting_for
+    follower.add('odom', 'base', 0, (0, 0, 0, 0, 0, 0, 1))
+    assert len(follower.take()[0]) == 0
+    assert follower.waiting_for == 'no frame map in the transforms; frames: base, odom'
+
+
+@pytest.mark.parametrize(('name', 'frames', 'expected'), [
+    ('tf:map.base_link', (), ('map', 'base_link')),
+    ('tf:/map./base_link', (), ('map', 'base_link')),
+    ('tf:map.camera.left', ('map', 'camera.left'), ('map', 'camera.left')),
+])
+def test_names_of_pairs(name, frames, expected):
+    assert parse_tf(name, frames) == expected
+
+
+@pytest.mark.parametrize('name', ['tf:map', 'tf:', 'tf:.base', 'tf:map.', 'tf:a.b.c'])
+def test_names_that_are_no_pair(name):
+    with pytest.raises(ConfigError, match='does not name two frames; needed tf:PARENT'):
+        parse_tf(name)

@@ -1,0 +1,122 @@
+"""The inputs of every subcommand that reads trajectories: options, and how they are loaded."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.sources.files import FORMATS, is_bag, QUATERNION_ORDERS, TIME_UNITS
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
+
+# Options of files that may be given for both sensors, or for one.
+_SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
+    ('columns', {'metavar': 'NAMES', 'help': 'what the columns are, for instance '
+                 't,x,y,z,qw,qx,qy,qz; - skips a column'}),
+    ('quaternion-order', {'choices': QUATERNION_ORDERS, 'help': 'order of the quaternion'}),
+    ('time-unit', {'choices': TIME_UNITS, 'help': 'unit of the times'}),
+)
+
+
+def add_input_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add A, B, ``--bag`` and the options of how to read them."""
+    parser.add_argument(
+        'a', metavar='A', help='sensor a, the parent: a file; with --bag a topic or tf:MAP.BASE')
+    parser.add_argument('b', metavar='B', help='sensor b, the child: the same')
+    add_bag_argument(parser)
+    group = parser.add_argument_group('how to read the inputs (default: as they say themselves)')
+    for name in 'ab':
+        group.add_argument(
+            f'--frame-{name}', metavar='FRAME', help=f'name of the frame of sensor {name}')
+        group.add_argument(f'--format-{name}', choices=FORMATS, help=f'format of the file {name}')
+        group.add_argument(
+            f'--times-{name}', type=Path, metavar='FILE',
+            help=f'times of the poses of file {name}, one a line')
+        group.add_argument(
+            f'--invert-{name}', action='store_true',
+            help=f'{name} holds the pose of the world in the sensor')
+    for option, settings in _SHARED:
+        for suffix, of in (('', 'both files'), ('-a', 'file a'), ('-b', 'file b')):
+            text = f'{settings["help"]}, of {of}'
+            group.add_argument(f'--{option}{suffix}', **{**settings, 'help': text})
+
+
+def add_bag_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--bag``, which ``split_bags`` allows several values."""
+    parser.add_argument(
+        '--bag', action='append', default=[], metavar='BAG [BAG ...]',
+        help='bags that hold the topics or transforms')
+
+
+def add_file_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of how to read files, for a command whose files are all alike."""
+    parser.add_argument(
+        '--file-format', choices=FORMATS, help='format of the files (default: from their rows)')
+    parser.add_argument(
+        '--times', type=Path, metavar='FILE', help='times of the poses, one a line')
+    for option, settings in _SHARED:
+        parser.add_argument(f'--{option}', **settings)
+    parser.add_argument('--invert', action='store_true',
+                        help='the files hold the pose of the world in the sensor')
+
+
+def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
+    """Return what was given for sensor 'a' or 'b', or for all files alike ('')."""
+    given = vars(arguments)
+    if not sensor:
+        return InputOptions(
+            None, given['invert'], given['file_format'], given['times'], given['columns'],
+            given['quaternion_order'], given['time_unit'])
+    shared = {}
+    for option, _ in _SHARED:
+        name = option.replace('-', '_')
+        own = given[f'{name}_{sensor}']
+        shared[name] = given[name] if own is None else own
+    return InputOptions(
+        given[f'frame_{sensor}'], given[f'invert_{sensor}'], given[f'format_{sensor}'],
+        given[f'times_{sensor}'], **shared)
+
+
+def load_pair(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
+    """Read A and B as the options of ``add_input_arguments`` say."""
+    inputs = {f'sensor_{name}': (getattr(arguments, name), options_of(arguments, name))
+              for name in 'ab'}
+    if arguments.bag:
+        with progress_bar('reading') as progress:
+            a, b = load_inputs(inputs, arguments.bag, progress).values()
+    else:
+        with running_clock('reading'):
+            a, b = load_inputs(inputs).values()
+    return a, b
+
+
+def load_one(
+    name: str, sensor: str = 'sensor', options: InputOptions | None = None,
+    bags: Sequence[str] = (),
+) -> Trajectory:
+    """Read one trajectory: a file, or a topic or ``tf:PARENT.CHILD`` of bags."""
+    inputs = {sensor: (name, options or InputOptions())}
+    return load_inputs(inputs, bags)[sensor]
+
+
+def split_bags(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with ``--bag x y`` as ``--bag x --bag y``.
+
+    Everything that follows ``--bag`` and is a bag on disk belongs to it; topics are none.
+    """
+    result: list[str] = []
+    after_bag = False
+    for k, argument in enumerate(arguments):
+        if argument == '--':
+            return result + list(arguments[k:])
+        if result and result[-1] == '--bag':
+            after_bag = True
+        elif after_bag and not argument.startswith('-') and is_bag(Path(argument)):
+            result.append('--bag')
+        else:
+            after_bag = False
+        result.append(argument)
+    return result

@@ -1,0 +1,112 @@
+"""One name for everything that can be read: a file, a topic of a bag, a pair of frames of TF.
+
+``load_inputs(['/odom', 'camera.tum'], bags=['drive.mcap'])`` returns two trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+import os
+from pathlib import Path
+
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.sources.files import FileSource
+from trajectory_calibration.sources.transforms import TF_PREFIX
+
+# Called with the part done and the whole.
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """How one trajectory is to be read; None where the file or the messages tell.
+
+    Attributes
+    ----------
+    frame : name of the frame of the sensor.
+    invert : whether the input holds the pose of the world in the sensor.
+    file_format, times, columns, quaternion_order, time_unit : see ``FileSource``; of files only.
+
+    """
+
+    frame: str | None = None
+    invert: bool = False
+    file_format: str | None = None
+    times: str | os.PathLike[str] | None = None
+    columns: str | None = None
+    quaternion_order: str | None = None
+    time_unit: str | None = None
+
+    def of_files(self) -> dict[str, object]:
+        """Return the settings that are given and mean nothing but for a file."""
+        names = ('file_format', 'times', 'columns', 'quaternion_order', 'time_unit')
+        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+
+
+def load_inputs(
+    inputs: Mapping[str, tuple[str, InputOptions]],
+    bags: Sequence[str | os.PathLike[str]] = (),
+    progress: Progress | None = None,
+) -> dict[str, Trajectory]:
+    """Read several trajectories, those of bags in one pass.
+
+    Parameters
+    ----------
+    inputs : for each sensor its input, a file, a topic or ``tf:PARENT.CHILD``, and its options.
+        The name of the sensor is that of its frame where the input names none.
+    bags : bags that hold the topics and transforms.
+
+    Raises
+    ------
+    ConfigError
+        Two inputs are one, or an option does not fit an input.
+    SourceError
+        An input cannot be read.
+
+    """
+    _require_different([name for name, _ in inputs.values()])
+    from_bags = {name for name, _ in inputs.values() if bags and not Path(name).is_file()}
+    for name, options in inputs.values():
+        given = options.of_files()
+        if name in from_bags and given:
+            raise ConfigError(f'{", ".join(given)} is for files; {name} is read from a bag, whose '
+                              'messages carry their format and time')
+        if name.startswith(TF_PREFIX) and not bags:
+            raise ConfigError(f'{name} names frames of a bag; give the bag with --bag')
+    tracks = {}
+    if from_bags:
+        # What bags need loads where a bag is read, and only there.
+        from trajectory_calibration.sources.bags import open_bags
+        with open_bags(bags) as reader:
+            tracks = reader.read(
+                [name for name, _ in inputs.values() if name in from_bags], progress)
+    result = {}
+    for sensor, (name, options) in inputs.items():
+        trajectory = (
+            tracks[name].to_trajectory(options.frame) if name in from_bags else
+            FileSource(name, sensor_frame=options.frame or sensor,
+                       **options.of_files()).load())  # type: ignore[arg-type]
+        result[sensor] = (replace(trajectory, poses=se3.inverse(trajectory.poses))
+                          if options.invert else trajectory)
+    return result
+
+
+def _require_different(names: Sequence[str]) -> None:
+    """Raise ConfigError where two inputs are one."""
+    for k, name in enumerate(names):
+        for other in names[:k]:
+            if name.lstrip('/') == other.lstrip('/'):
+                raise ConfigError(f'{name} is given twice; two sensors are needed')
+            if _same_file(name, other):
+                raise ConfigError(f'{other} and {name} are the same; two sensors are needed')
+
+
+def _same_file(a: str, b: str) -> bool:
+    try:
+        return Path(a).samefile(b)
+    except OSError:
+        # Reading it says what is wrong.
+        return False

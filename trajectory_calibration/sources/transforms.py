@@ -1,0 +1,409 @@
+"""The pose of one frame in another out of many transforms: what tf2 answers, without ROS.
+
+A robot publishes ``map -> odom`` and ``odom -> base_link`` separately, each at its own times.
+``TransformTree`` holds such edges and composes a chain of them, under these rules:
+
+* A pose is given at each stamp of the edge that changes most often (of several that change
+  about as often, the one next to the child).
+* The other edges are interpolated at that stamp: linearly in position, along the great arc in
+  orientation, as tf2 does. Nothing is extrapolated, and nothing interpolated across a gap.
+* A static edge holds at all times.
+* Where the time of an edge runs backwards by more than a second, a simulation or a bag began
+  anew: the longest part stays.
+
+``ChainFollower`` does the same while the transforms arrive. Frame names lose a leading slash,
+as tf2 wants it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajectory_calibration.errors import ConfigError, TopicError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+TF_PREFIX = 'tf:'
+
+# An edge is silent where it pauses for longer than this, and than ten of its usual steps.
+_GAP_NS = 1_000_000_000
+_GAP_FACTOR = 10
+# Time that runs backwards by more than this began anew; by less, messages changed places.
+_RESTART_NS = 1_000_000_000
+# An edge that changes this share as often as the most frequent one may give the stamps.
+_AS_OFTEN = 0.8
+# Changes after which a follower decides which edge gives the stamps.
+_ENOUGH_CHANGES = 5
+
+
+class Link(NamedTuple):
+    """One step of a chain: an edge, and whether it is taken from parent to child."""
+
+    edge: Edge
+    downwards: bool
+
+
+@dataclass(eq=False)
+class Edge:
+    """The transforms from one frame to its child.
+
+    Attributes
+    ----------
+    parent, child : names of the frames.
+    static : whether the transform holds at all times.
+    changes : how many transforms differ from the one before.
+
+    """
+
+    parent: str
+    child: str
+    static: bool = False
+    changes: int = 0
+    _blocks: list[tuple[NDArray[np.int64], FloatArray]] = field(default_factory=list)
+    _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
+    _last: FloatArray | None = None
+
+    def __str__(self) -> str:
+        return f'{self.parent} -> {self.child}'
+
+    def add(self, stamp_ns: int, pose: Sequence[float]) -> None:
+        """Take one transform: x, y, z (m), qx, qy, qz, qw."""
+        self._waiting.append((stamp_ns, pose))
+
+    def extend(self, stamps_ns: ArrayLike, poses: ArrayLike) -> None:
+        """Take (N,) stamps and (N, 7) transforms in the order in which they came."""
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        new = np.asarray(poses, dtype=np.float64).reshape(len(stamps), 7)
+        usable = np.isfinite(new).all(axis=1)
+        with np.errstate(over='ignore', invalid='ignore'):
+            usable &= np.abs(np.linalg.norm(new[:, 3:], axis=1) - 1.0) < 1e-2
+        stamps, new = stamps[usable], new[usable]
+        if not len(new):
+            return
+        first = new[:1] if self._last is None else self._last[None]
+        before = np.concatenate([first, new[:-1]])
+        self.changes += int(np.count_nonzero((new != before).any(axis=1)))
+        self._last = new[-1]
+        self._blocks.append((stamps, new))
+
+    @property
+    def samples(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """(N,) stamps and (N, 7) transforms in the order in which they came."""
+        if self._waiting:
+            stamps, poses = zip(*self._waiting, strict=True)
+            self._waiting = []
+            self.extend(stamps, poses)
+        if len(self._blocks) > 1:
+            self._blocks = [(np.concatenate([block[0] for block in self._blocks]),
+                             np.concatenate([block[1] for block in self._blocks]))]
+        return self._blocks[0] if self._blocks else (np.zeros(0, np.int64), np.zeros((0, 7)))
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop what no later pose needs."""
+        stamps_ns, poses = self.samples
+        if not self.static and len(stamps_ns):
+            first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - 1, 0)
+            self._blocks = [(stamps_ns[first:], poses[first:])]
+
+    def ordered(self, notes: list[str]) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return the samples in the order of their stamps, one a stamp, of one run of time."""
+        stamps_ns, poses = self.samples
+        if np.all(stamps_ns[1:] > stamps_ns[:-1]):
+            return stamps_ns, poses
+        restarts = np.flatnonzero(np.diff(stamps_ns) < -_RESTART_NS) + 1
+        parts = np.split(np.arange(len(stamps_ns)), restarts)
+        longest = max(parts, key=len)
+        if len(parts) > 1:
+            notes.append(
+                f'the time of {self} ran backwards {len(parts) - 1} times (was the bag or the '
+                f'simulation restarted?): kept {len(longest)} of {len(stamps_ns)} transforms')
+        stamps_ns, first = np.unique(stamps_ns[longest], return_index=True)
+        return stamps_ns, poses[longest][first]
+
+
+class TransformTree:
+    """Transforms between frames, as /tf and /tf_static give them."""
+
+    def __init__(self) -> None:
+        self._edges: dict[tuple[str, str], Edge] = {}
+
+    def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
+            static: bool = False) -> None:
+        """Take the pose (x, y, z, qx, qy, qz, qw) of ``child`` in ``parent`` at a time."""
+        self._edge(parent, child, static=static).add(stamp_ns, pose)
+
+    def extend(self, parent: str, child: str, stamps_ns: ArrayLike, poses: ArrayLike, *,
+               static: bool = False) -> None:
+        """Take (N,) stamps and (N, 7) poses of ``child`` in ``parent``."""
+        self._edge(parent, child, static=static).extend(stamps_ns, poses)
+
+    @property
+    def edges(self) -> tuple[Edge, ...]:
+        """All edges, in the order in which they were first seen."""
+        return tuple(self._edges.values())
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames."""
+        return tuple(dict.fromkeys(name for pair in self._edges for name in pair))
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Return the pairs of frames that move in relation to each other and can serve.
+
+        One frame stands for all that are fixed to it.
+        """
+        moving = [edge for edge in self.edges if not edge.static and len(edge.samples[0]) > 1
+                  and edge.changes]
+        found = []
+        for parent in dict.fromkeys(edge.parent for edge in moving):
+            for child in dict.fromkeys(edge.child for edge in moving):
+                path = self._path(parent, child)
+                if path and all(link.downwards for link in path):
+                    found.append((parent, child))
+        return found
+
+    def chain(self, parent: str, child: str) -> list[Link]:
+        """Return the links that lead from one frame to another.
+
+        Raises
+        ------
+        TopicError
+            A frame is not known, the two are not connected, or there are two ways between them.
+
+        """
+        names = self.frames
+        for name in (parent, child):
+            if name not in names:
+                raise TopicError(f'no frame {name} in the transforms; frames: '
+                                 f'{", ".join(sorted(names)) or "none"}')
+        if parent == child:
+            raise TopicError(f'{parent} and {child} are one frame; name two')
+        path = self._path(parent, child)
+        if path is None:
+            trees = ' and '.join(
+                f'{name} with {", ".join(sorted(self._connected(name) - {name}))}'
+                for name in (parent, child))
+            raise TopicError(
+                f'no transform connects {parent} and {child}: there are separate trees, of '
+                f'{trees}; record the topic that publishes the transform between them')
+        for link in path:
+            if self._path(parent, child, without=link.edge) is not None:
+                parents = self._with_two_parents()
+                raise TopicError(
+                    f'there are two ways from {parent} to {child}: {parents}; name a pair of '
+                    'frames between which there is one')
+        return path
+
+    def compose(
+        self, parent: str, child: str, notes: list[str] | None = None,
+    ) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return (N,) stamps and the (N, 4, 4) poses of ``child`` in ``parent``.
+
+        What was left out is added to ``notes``.
+
+        Raises
+        ------
+        TopicError
+            See ``chain``; or nothing moves between the two frames.
+
+        """
+        links = self.chain(parent, child)
+        return _compose(links, stamp_edge(links), [] if notes is None else notes)
+
+    def _edge(self, parent: str, child: str, *, static: bool) -> Edge:
+        key = parent.lstrip('/'), child.lstrip('/')
+        edge = self._edges.get(key)
+        if edge is None:
+            edge = self._edges[key] = Edge(*key, static)
+        return edge
+
+    def _neighbours(self, name: str, without: Edge | None) -> Iterable[tuple[str, Link]]:
+        for edge in self.edges:
+            if edge is without:
+                continue
+            if edge.parent == name:
+                yield edge.child, Link(edge, downwards=True)
+            elif edge.child == name:
+                yield edge.parent, Link(edge, downwards=False)
+
+    def _path(self, start: str, end: str, without: Edge | None = None) -> list[Link] | None:
+        """Return the shortest way between two frames."""
+        reached: dict[str, list[Link]] = {start: []}
+        waiting = deque([start])
+        while waiting:
+            name = waiting.popleft()
+            for other, link in self._neighbours(name, without):
+                if other not in reached:
+                    reached[other] = [*reached[name], link]
+                    waiting.append(other)
+        return reached.get(end)
+
+    def _connected(self, name: str) -> set[str]:
+        return {other for other in self.frames if self._path(name, other) is not None}
+
+    def _with_two_parents(self) -> str:
+        parents: dict[str, list[str]] = {}
+        for edge in self.edges:
+            parents.setdefault(edge.child, []).append(edge.parent)
+        return '; '.join(f'{child} has the parents {" and ".join(names)}'
+                         for child, names in parents.items() if len(names) > 1)
+
+
+class ChainFollower:
+    """The pose of one frame in another while transforms arrive.
+
+    ``add`` every transform of /tf and /tf_static, ``take`` the poses that have become known;
+    ``waiting_for`` says why there are none.
+    """
+
+    def __init__(self, parent: str, child: str) -> None:
+        self.parent, self.child = parent.lstrip('/'), child.lstrip('/')
+        self.waiting_for = f'no transform yet: is /tf published? ({self.parent}, {self.child})'
+        self._tree = TransformTree()
+        self._given_ns = -2**63
+        self._stamps_of: Edge | None = None
+
+    def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
+            static: bool = False) -> None:
+        """Take one transform as ``TransformTree.add`` does."""
+        self._tree.add(parent, child, stamp_ns, pose, static=static)
+
+    def take(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return (N,) stamps and (N, 4, 4) poses that became known since the last call."""
+        nothing = np.zeros(0, np.int64), np.zeros((0, 4, 4))
+        try:
+            links = self._tree.chain(self.parent, self.child)
+            if self._stamps_of is None:
+                edge = stamp_edge(links)
+                if edge.changes < _ENOUGH_CHANGES:
+                    self.waiting_for = f'{edge} has hardly moved yet'
+                    return nothing
+                self._stamps_of = edge
+            stamps_ns, poses = _compose(links, self._stamps_of, [])
+        except TopicError as error:
+            self.waiting_for = str(error)
+            return nothing
+        new = stamps_ns > self._given_ns
+        stamps_ns, poses = stamps_ns[new], poses[new]
+        if len(stamps_ns):
+            self.waiting_for = ''
+            self._given_ns = int(stamps_ns[-1])
+            for edge in self._tree.edges:
+                edge.forget_before(self._given_ns)
+        return stamps_ns, poses
+
+
+def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
+    """Return the two frames of ``tf:PARENT.CHILD``.
+
+    A name of a frame may hold dots itself: then the frames that exist tell where to part it.
+
+    Raises
+    ------
+    ConfigError
+        No two names, or several ways to part them.
+
+    """
+    text = name.removeprefix(TF_PREFIX)
+    known = set(frames)
+    words = text.split('.')
+    ways = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
+            for k in range(1, len(words))]
+    ways = [way for way in ways if all(way)]
+    fitting = [way for way in ways if set(way) <= known]
+    if len(ways) > 1 and fitting:
+        ways = fitting
+    if len(ways) != 1:
+        raise ConfigError(f'{name!r} does not name two frames; needed tf:PARENT.CHILD, for '
+                          'instance tf:map.base_link')
+    return ways[0]
+
+
+def stamp_edge(links: Sequence[Link]) -> Edge:
+    """Return the edge of a chain whose stamps the poses get: the one that changes most often.
+
+    Raises
+    ------
+    TopicError
+        Nothing moves between the two frames.
+
+    """
+    for link in links:
+        # Counts the changes of what waits.
+        _ = link.edge.samples
+    moving = [link.edge for link in links if not link.edge.static and link.edge.changes]
+    if not moving:
+        chain = ', '.join(str(link.edge) for link in links)
+        raise TopicError(f'nothing moves between these frames: {chain} never changed; name a pair '
+                         'of frames that move in relation to each other')
+    most = max(edge.changes for edge in moving)
+    return [edge for edge in moving if edge.changes >= _AS_OFTEN * most][-1]
+
+
+def _compose(
+    links: Sequence[Link], stamps_of: Edge, notes: list[str],
+) -> tuple[NDArray[np.int64], FloatArray]:
+    sampled = {link.edge: link.edge.ordered(notes) for link in links}
+    stamps_ns = sampled[stamps_of][0]
+    for edge, (own_ns, _) in sampled.items():
+        if edge is stamps_of or edge.static:
+            continue
+        covered = _covered(stamps_ns, own_ns)
+        if not covered.all():
+            notes.append(f'{np.count_nonzero(~covered)} of {len(covered)} poses left out: '
+                         f'{edge} has no transform at their time')
+        stamps_ns = stamps_ns[covered]
+    result = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))
+    for link in links:
+        own_ns, poses = sampled[link.edge]
+        moved = (np.broadcast_to(_matrices(poses[-1:]), (len(stamps_ns), 4, 4))
+                 if link.edge.static else _interpolated(own_ns, poses, stamps_ns))
+        result = result @ (moved if link.downwards else se3.inverse(moved))
+    return stamps_ns, result
+
+
+def _covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which times lie on a stamp, or between two that are no gap apart."""
+    if len(stamps_ns) == 0:
+        return np.zeros(len(at_ns), dtype=bool)
+    right = np.searchsorted(stamps_ns, at_ns)
+    left = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
+    inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
+    step = stamps_ns[np.minimum(right, len(stamps_ns) - 1)] - stamps_ns[left]
+    usual = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+    covered: NDArray[np.bool_] = inside & (step <= max(_GAP_NS, _GAP_FACTOR * usual))
+    return covered
+
+
+def _interpolated(
+    stamps_ns: NDArray[np.int64], poses: FloatArray, at_ns: NDArray[np.int64],
+) -> FloatArray:
+    """Return (M, 4, 4) poses at (M,) times within the (N,) stamps of (N, 7) poses."""
+    right = np.searchsorted(stamps_ns, at_ns)
+    left = np.searchsorted(stamps_ns, at_ns, side='right') - 1
+    step = np.maximum(stamps_ns[right] - stamps_ns[left], 1)
+    share = ((at_ns - stamps_ns[left]) / step)[:, None]
+    start, end = poses[left], poses[right]
+    mixed = np.empty_like(start)
+    mixed[:, :3] = (1.0 - share) * start[:, :3] + share * end[:, :3]
+    cosine = np.sum(start[:, 3:] * end[:, 3:], axis=1, keepdims=True)
+    toward = np.where(cosine < 0, -end[:, 3:], end[:, 3:])
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    # The arc between orientations that hardly differ is a straight line.
+    sine = np.where(angle > 1e-6, np.sin(angle), 1.0)
+    weight_start = np.where(angle > 1e-6, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
+    weight_end = np.where(angle > 1e-6, np.sin(share * angle) / sine, share)
+    mixed[:, 3:] = weight_start * start[:, 3:] + weight_end * toward
+    return _matrices(mixed)
+
+
+def _matrices(poses: FloatArray) -> FloatArray:
+    """Return the (N, 4, 4) matrices of (N, 7) poses."""
+    q = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return se3.from_rotation_translation(se3.quaternion_to_rotation(q), poses[:, :3])
