@@ -336,7 +336,7 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--reference', 'D4'], 2, "error: reference 'D4' is unknown"),
     (['{a}', '{b}', '--config', '{a}.no'], 2, 'cannot be read as settings: [Errno 2]'),
     (['{a}', '{a}'], 2, 'error: {a} is given twice; two sensors are needed'),
-    (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: times is for files; /x is read from a bag'),
+    (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: times is for files; /x is'),
     (['{a}.no', '{b}'], 1, 'error: {a}.no cannot be read: No such file or directory'),
     (['{bag}', '{b}'], 1, 'give the bag with --bag'),
     (['{a}', '{b}', '--format-a', 'euroc'], 1,

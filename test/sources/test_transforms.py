@@ -89,7 +89,8 @@ def test_a_restart_keeps_the_longest_part_and_says_so():
     tree = TransformTree()
     stamps_ns, odom = moving(300, 1)
     again = np.concatenate([stamps_ns[:100], stamps_ns])
-    tree.extend('odom', 'base', again, np.concatenate([odom[:100] + [9, 0, 0, 0, 0, 0, 0], odom]))
+    moved = odom[:100] + np.array([9.0, 0, 0, 0, 0, 0, 0])
+    tree.extend('odom', 'base', again, np.concatenate([moved, odom]))
     notes = []
     found_ns, poses = tree.compose('odom', 'base', notes)
     np.testing.assert_array_equal(found_ns, stamps_ns)
