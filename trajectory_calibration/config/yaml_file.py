@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 from io import StringIO
+import math
 import os
 from pathlib import Path
+import re
 from secrets import token_hex
 from typing import Any
 
@@ -15,6 +17,10 @@ from trajectory_calibration.errors import CalibrationError, ResultError
 # "!!int abc", "!!int ''", "!!bool x", numbers of more digits than Python converts, brackets
 # nested deeper than Python calls. Found by random text.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+
+# What YAML 1.1 takes for a truth value or for nothing.
+_WORDS_OF_YAML = frozenset((
+    'y', 'n', 'yes', 'no', 'on', 'off', 'true', 'false', 'null', 'nan', 'inf'))
 
 
 def read_yaml(path: Path, what: str, error: type[CalibrationError]) -> Any:
@@ -47,16 +53,60 @@ def parse_yaml(text: str, failure: str, error: type[CalibrationError]) -> Any:
 
 
 def to_yaml(data: dict[str, Any]) -> str:
-    """Return plain data as YAML, keys in their own order."""
+    """Return plain data as YAML that means the same in versions 1.1 and 1.2; keys stay in order.
+
+    PyYAML, and so ROS and xacro, read version 1.1: there ``1e-05`` is a text, ``off`` a truth
+    value and ``1:30`` a time.
+    """
     # Loads here because most uses of a result never touch YAML.
     from ruamel.yaml import YAML
+    from ruamel.yaml.representer import SafeRepresenter
+
+    class Representer(SafeRepresenter):
+        pass
+
+    Representer.add_representer(
+        float, lambda self, value: self.represent_scalar('tag:yaml.org,2002:float', number(value)))
+    Representer.add_representer(
+        str, lambda self, text: self.represent_scalar(
+            'tag:yaml.org,2002:str', text, style=None if _is_plain(text) else '"'))
     yaml = YAML(typ='safe', pure=True)
+    yaml.Representer = Representer
     yaml.representer.sort_base_mapping_type_on_output = False
     yaml.default_flow_style = None
     yaml.width = 99
     stream = StringIO()
     yaml.dump(data, stream)
     return stream.getvalue()
+
+
+def number(value: float) -> str:
+    """Return the shortest text that reads back as the same float in YAML 1.1 and 1.2, XML, C."""
+    if not math.isfinite(value):
+        return '.nan' if math.isnan(value) else '.inf' if value > 0 else '-.inf'
+    text = repr(float(value) + 0.0)
+    return text.replace('e', '.0e') if 'e' in text and '.' not in text else text
+
+
+def quoted(text: str) -> str:
+    """Return a text in double quotes, as YAML 1.1 and 1.2 both read it."""
+    escaped = text.replace('\\', '\\\\').replace('"', '\\"')
+    return f'"{"".join(c if c.isprintable() else _escape(c) for c in escaped)}"'
+
+
+def _escape(character: str) -> str:
+    code = ord(character)
+    return f'\\x{code:02x}' if code < 0x100 else (
+        f'\\u{code:04x}' if code < 0x10000 else f'\\U{code:08x}')
+
+
+def _is_plain(text: str) -> bool:
+    """Tell whether no version of YAML takes a text without quotes for anything but a text."""
+    # A word that begins with a letter or a slash; or a sentence of such, which the library
+    # quotes where it has to.
+    first = text.partition(' ')[0]
+    return (first != '' and re.fullmatch(r'/?[A-Za-z][\w/.,;()%+-]*', first) is not None
+            and text.lower() not in _WORDS_OF_YAML and text.isprintable())
 
 
 def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> None:

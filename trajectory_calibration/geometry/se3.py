@@ -103,6 +103,29 @@ def _row_with_largest_pivot(
     return np.take_along_axis(K, pivot[..., None, None], axis=-2)[..., 0, :]
 
 
+def roll_pitch_yaw(rotations: ArrayLike) -> FloatArray:
+    """Return the (..., 3) angles about the fixed x, then y, then z axis, as URDF writes them.
+
+    Radians; ``R = R_z(yaw) R_y(pitch) R_x(roll)``. Roll is read off what yaw leaves of R, so that
+    the three together repeat R to the last digit even where pitch is near 90 degrees.
+    """
+    R = np.asarray(rotations, dtype=np.float64)
+    # Upright by rounding alone, roll and yaw turn about one axis: roll takes all of it.
+    level = np.hypot(R[..., 0, 0], R[..., 1, 0]) > 1e-13
+    yaw = np.where(level, np.arctan2(R[..., 1, 0], R[..., 0, 0]), 0.0)
+    c, s = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-R[..., 2, 0], c * R[..., 0, 0] + s * R[..., 1, 0])
+    roll = np.arctan2(s * R[..., 0, 2] - c * R[..., 1, 2], c * R[..., 1, 1] - s * R[..., 0, 1])
+    return np.stack([roll, pitch, yaw], axis=-1)
+
+
+def rotation_from_roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
+    """Return the (..., 3, 3) rotations of (..., 3) roll, pitch, yaw (radians) as in URDF."""
+    roll, pitch, yaw = np.moveaxis(np.asarray(angles, dtype=np.float64)[..., None] * np.eye(3),
+                                   -2, 0)
+    return exp_so3(yaw) @ exp_so3(pitch) @ exp_so3(roll)
+
+
 def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations of (..., 3) rotation vectors (radians)."""
     phi = np.asarray(rotation_vectors, dtype=np.float64)

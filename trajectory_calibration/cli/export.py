@@ -1,0 +1,125 @@
+"""``trajectory_calibration export``: a saved result in the formats of other tools."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.exports import EXPORTS
+from trajectory_calibration.outputs.extrinsic_file import parse_transform, read_extrinsic
+from trajectory_calibration.outputs.frame_tree import FrameTree
+from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.result import CalibrationResult
+
+# Done, but a direction of the answer is open.
+EXIT_UNOBSERVED = 3
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    formats = '\n'.join(f'  {name:<10} {item.sentence}' for name, item in EXPORTS.items())
+    parser = subparsers.add_parser(
+        'export', help='write a saved result as URDF, static transform, Autoware, Kalibr, ...',
+        usage='%(prog)s RESULT --as FORMAT [options]',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Write the extrinsic of a saved result for another tool. The parent is '
+        'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
+        epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
+        'URDF),\nx,y,z,qx,qy,qz,qw, or a file. Exit status 3: exported, but a direction is '
+        'unobserved.')
+    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
+    parser.add_argument(
+        '--as', dest='format', required=True, choices=tuple(EXPORTS), metavar='FORMAT',
+        help=', '.join(EXPORTS))
+    parser.add_argument(
+        '--invert', action='store_true', help='write the pose of a in b: b becomes the parent')
+    parser.add_argument(
+        '--parent', metavar='FRAME', help='frame to which the parent is fixed, as base_link; the '
+        'child is written in it')
+    parser.add_argument(
+        '--parent-transform', metavar='TRANSFORM', help='pose of the parent sensor in --parent')
+    parser.add_argument(
+        '--child', metavar='FRAME', help='frame to which the child is fixed, as camera_link of an '
+        'optical frame; it is written in place of the child')
+    parser.add_argument(
+        '--child-transform', metavar='TRANSFORM', help='pose of the child sensor in --child')
+    parser.add_argument(
+        '--parent-urdf', '--urdf', dest='urdf', type=Path, metavar='FILE',
+        help='URDF whose fixed joints give the transforms of --parent and --child')
+    parser.add_argument(
+        '--output', type=Path, metavar='FILE', help='file to write (default: standard output)')
+    parser.add_argument('--force', action='store_true', help='overwrite the file')
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the export."""
+    exporter = EXPORTS[arguments.format]
+    item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
+    if arguments.output is None:
+        if exporter.is_binary:
+            raise ConfigError(f'{arguments.format} is binary; give a file with --output')
+        print(exporter.write(item), end='')
+    else:
+        _write(arguments.output, exporter.encode(item), force=arguments.force)
+        print(f'wrote {arguments.output}: {exporter.sentence}', file=sys.stderr)
+    if item.unobserved:
+        print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
+              'along it', file=sys.stderr)
+        return EXIT_UNOBSERVED
+    return 0
+
+
+def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
+    """Return the placement between the frames that were asked for."""
+    if arguments.invert:
+        item = item.inverted()
+    tree = None if arguments.urdf is None else FrameTree.read(arguments.urdf)
+    for end in ('parent', 'child'):
+        frame, text = getattr(arguments, end), getattr(arguments, f'{end}_transform')
+        if frame is None:
+            if text is not None:
+                raise ConfigError(f'--{end}-transform needs the name of its frame, --{end} FRAME')
+            continue
+        sensor = item.parent if end == 'parent' else item.child
+        if text is not None:
+            T_frame_sensor = _transform(text)
+        elif tree is not None:
+            T_frame_sensor = tree.transform(frame, sensor)
+        else:
+            raise ConfigError(
+                f'--{end} {frame} needs the pose of {sensor} in it: --{end}-transform '
+                'x,y,z,roll,pitch,yaw, or --parent-urdf FILE')
+        item = (item.under(frame, T_frame_sensor) if end == 'parent'
+                else item.holding(frame, T_frame_sensor))
+    if tree is not None:
+        _require_free(item, tree)
+    return item
+
+
+def _require_free(item: Placement, tree: FrameTree) -> None:
+    """Raise ConfigError where the child already has another parent in the robot."""
+    present = tree.parent_of(item.child)
+    if present not in (None, '', item.parent):
+        raise ConfigError(
+            f'{item.child} already has the parent {present} in {tree.path}, and a link has one; '
+            f'give --child {present}, so that {present} is placed in {item.parent}')
+
+
+def _transform(text: str) -> FloatArray:
+    if Path(text.rpartition('#')[0] or text).is_file():
+        return read_extrinsic(text).T_a_b
+    return parse_transform(text)
+
+
+def _write(path: Path, data: bytes, *, force: bool) -> None:
+    try:
+        with path.open('wb' if force else 'xb') as stream:
+            stream.write(data)
+    except FileExistsError:
+        raise ConfigError(f'{path} exists; overwrite it with --force') from None
+    except OSError as error:
+        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error

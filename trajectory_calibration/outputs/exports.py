@@ -1,0 +1,311 @@
+"""A result in the formats of other tools, each as text that can be pasted.
+
+``EXPORTS`` is the registry: the command line, ``--output`` and the report take their choices
+from it. Every format holds the pose of the child in the parent, but for Kalibr's, and its
+sentence says so. Numbers are written with all their digits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+import io
+import json
+from pathlib import Path
+import re
+import shlex
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from trajectory_calibration.config.yaml_file import number, quoted
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.result import CalibrationResult
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """One format.
+
+    Attributes
+    ----------
+    sentence : what it holds and which way it points.
+    extension : of a file that holds it, without the dot.
+    text : function of a ``Placement`` that returns the text; None for a binary format.
+    data : function of a ``Placement`` that returns the bytes of a binary format.
+    stem : of the file's name in a folder of exports.
+
+    """
+
+    sentence: str
+    extension: str
+    text: Callable[[Placement], str] | None
+    data: Callable[[Placement], bytes] | None = None
+    stem: str = 'extrinsic'
+
+    @property
+    def file_name(self) -> str:
+        """Return the name of a file among those of the other formats."""
+        return f'{self.stem}.{self.extension}'
+
+    @property
+    def is_binary(self) -> bool:
+        """Tell whether the format cannot be printed."""
+        return self.text is None
+
+    def write(self, item: CalibrationResult | Placement) -> str:
+        """Return the text of a result, or of a placement made from one.
+
+        Raises
+        ------
+        ConfigError
+            A binary format, two frames of one name, or a name that the format cannot hold.
+
+        """
+        if self.text is None:
+            raise ConfigError(f'.{self.extension} is binary; give a file with --output')
+        return self.text(_placement(item))
+
+    def encode(self, item: CalibrationResult | Placement) -> bytes:
+        """Return the contents of a file; raises as ``write``, but takes binary formats."""
+        if self.data is not None:
+            return self.data(_placement(item))
+        return self.write(item).encode()
+
+
+def _placement(item: CalibrationResult | Placement) -> Placement:
+    placement = item if isinstance(item, Placement) else Placement.of(item)
+    return placement.require_two_frames()
+
+
+def _numbers(values: FloatArray, separator: str = ' ') -> str:
+    return separator.join(map(number, values))
+
+
+def _translation(item: Placement) -> FloatArray:
+    return item.T_parent_child[:3, 3]
+
+
+def _quaternion(item: Placement) -> FloatArray:
+    return se3.rotation_to_quaternion(item.T_parent_child[:3, :3])
+
+
+def _rpy(item: Placement) -> FloatArray:
+    return se3.roll_pitch_yaw(item.T_parent_child[:3, :3])
+
+
+def _pose(item: Placement) -> str:
+    return f'pose of {item.child} in {item.parent}: p_{item.parent} = T p_{item.child}'
+
+
+def _comments(item: Placement, *more: str) -> list[str]:
+    """Return what a reader must know, worst first."""
+    lines = []
+    if item.unobserved:
+        lines.append(f'UNOBSERVED: {", ".join(item.unobserved)}. These numbers are arbitrary '
+                     'along it: measure it, or drive a ramp, before you use them.')
+    lines += more
+    if item.covariance is not None:
+        std = np.sqrt(np.maximum(np.diagonal(item.covariance), 0.0))
+        lines.append(
+            'standard deviations along and about x, y, z of '
+            f'{item.parent}: {_rounded(std[:3])} m, {_rounded(np.rad2deg(std[3:]))} deg')
+    return [*lines, item.origin] if item.origin else lines
+
+
+def _rounded(values: FloatArray) -> str:
+    return ', '.join(f'{value:.2g}' for value in values)
+
+
+def _hash(lines: list[str]) -> str:
+    # A line break in the name of a frame must not end the comment.
+    return ''.join(f'# {" ".join(line.split())}\n' for line in lines)
+
+
+def _xml_comment(lines: list[str], indent: str = '') -> str:
+    # Two hyphens would end the comment.
+    return ''.join(
+        f'{indent}<!-- {re.sub("-(?=-|$)", "- ", " ".join(line.split()))} -->\n'
+        for line in lines)
+
+
+def _joint(item: Placement, parent: str, child: str, name: str) -> str:
+    return (f'<joint name={quoteattr(name)} type="fixed">\n'
+            f'  <origin xyz="{_numbers(_translation(item))}" rpy="{_numbers(_rpy(item))}"/>\n'
+            f'  <parent link={quoteattr(parent)}/>\n'
+            f'  <child link={quoteattr(child)}/>\n'
+            '</joint>\n')
+
+
+def _urdf(item: Placement) -> str:
+    name = f'{item.parent}_to_{item.child}'
+    return (_xml_comment(_comments(
+        item, f'Paste into <robot>; leave out the link where {item.child} has one', _pose(item)))
+        + _joint(item, item.parent, item.child, name)
+        + f'<link name={quoteattr(item.child)}/>\n')
+
+
+def _xacro(item: Placement) -> str:
+    macro = re.sub(r'\W', '_', f'{item.parent}_to_{item.child}')
+    joint = _joint(item, '${parent}', '${child}', '${parent}_to_${child}')
+    body = ''.join(f'    {line}\n' for line in joint.splitlines())
+    for name in (item.parent, item.child):
+        # Space, quotes and $ have a meaning in the defaults of a macro.
+        if re.fullmatch(r'[\w./-]+', name) is None:
+            raise ConfigError(
+                f'xacro cannot hold the frame name {name!r}, needed letters, digits and _ . / -; '
+                'use urdf')
+    defaults = quoteattr(f'parent:={item.parent} child:={item.child}')
+    return ('<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
+            + _xml_comment(_comments(
+                item, f'Include this file, then call <xacro:{macro}/> in the robot',
+                _pose(item)), '  ')
+            + f'  <xacro:macro name="{macro}" params={defaults}>\n{body}'
+            '    <link name="${child}"/>\n  </xacro:macro>\n</robot>\n')
+
+
+def publisher_arguments(item: Placement) -> list[str]:
+    """Return the arguments of ``static_transform_publisher``."""
+    values = zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
+                 (*_translation(item), *_quaternion(item)), strict=True)
+    arguments = [text for name, value in values for text in (f'--{name}', number(value))]
+    return [*arguments, '--frame-id', item.parent, '--child-frame-id', item.child]
+
+
+def _static_tf(item: Placement) -> str:
+    return _hash(_comments(item, _pose(item))) + shlex.join([
+        'ros2', 'run', 'tf2_ros', 'static_transform_publisher', *publisher_arguments(item)]) + '\n'
+
+
+def _launch(item: Placement) -> str:
+    arguments = publisher_arguments(item)
+    pairs = zip(arguments[::2], arguments[1::2], strict=True)
+    rows = ''.join(f'            {name!r}, {value!r},\n' for name, value in pairs)
+    return (_hash(_comments(item, _pose(item))) + 'from launch import LaunchDescription\n'
+            'from launch_ros.actions import Node\n\n\ndef generate_launch_description():\n'
+            "    return LaunchDescription([Node(\n        package='tf2_ros', "
+            f"executable='static_transform_publisher',\n        arguments=[\n{rows}"
+            '        ])])\n')
+
+
+def _rows(matrix: FloatArray, separator: str, start: str = '', end: str = '') -> str:
+    return ''.join(f'{start}{_numbers(row, separator)}{end}\n' for row in matrix)
+
+
+def _matrix(item: Placement) -> str:
+    return _hash(_comments(item, _pose(item))) + _rows(item.T_parent_child, ' ')
+
+
+def _npy(item: Placement) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, item.T_parent_child)
+    return stream.getvalue()
+
+
+def _json(item: Placement) -> str:
+    return json.dumps({
+        'parent': item.parent,
+        'child': item.child,
+        'translation_m': _translation(item).tolist(),
+        'rotation_xyzw': _quaternion(item).tolist(),
+        'rotation_rpy_rad': _rpy(item).tolist(),
+        'T_parent_child': item.T_parent_child.tolist(),
+        'covariance_m_rad': None if item.covariance is None else item.covariance.tolist(),
+        'unobserved': list(item.unobserved),
+        'origin': item.origin,
+    }, indent=1) + '\n'
+
+
+def _yaml(item: Placement) -> str:
+    return (
+        _hash(_comments(item, _pose(item)))
+        + f'parent: {quoted(item.parent)}\nchild: {quoted(item.child)}\n'
+        f'translation_m: [{_numbers(_translation(item), ", ")}]\n'
+        f'rotation_xyzw: [{_numbers(_quaternion(item), ", ")}]\n'
+        f'rotation_rpy_rad: [{_numbers(_rpy(item), ", ")}]\n'
+        f'T_parent_child:\n{_rows(item.T_parent_child, ", ", "- [", "]")}'
+        f'unobserved: [{", ".join(map(quoted, item.unobserved))}]\n')
+
+
+def _tum(item: Placement) -> str:
+    return (_hash(_comments(item, _pose(item), 'stamp tx ty tz qx qy qz qw'))
+            + f'0 {_numbers(_translation(item))} {_numbers(_quaternion(item))}\n')
+
+
+def _autoware(item: Placement) -> str:
+    values = zip(('x', 'y', 'z', 'roll', 'pitch', 'yaw'),
+                 (*_translation(item), *_rpy(item)), strict=True)
+    rows = ''.join(f'    {name}: {number(value)}\n' for name, value in values)
+    return (_hash(_comments(item, f'sensor_kit_calibration.yaml, metres, radians; {_pose(item)}'))
+            + f'{quoted(item.parent)}:\n  {quoted(item.child)}:\n{rows}')
+
+
+def _kalibr(item: Placement) -> str:
+    comments = _comments(
+        item, f'cam0 is {item.parent}, cam1 is {item.child}; add their intrinsics',
+        f'T_cn_cnm1 maps points of {item.parent} to {item.child}: the inverse of the pose of '
+        f'{item.child} in {item.parent}')
+    return (_hash(comments) + 'cam1:\n  T_cn_cnm1:\n'
+            + _rows(se3.inverse(item.T_parent_child), ', ', '  - [', ']'))
+
+
+EXPORTS: dict[str, Exporter] = {
+    'urdf': Exporter(
+        'fixed joint from the parent link to the child link; its origin is the pose of the child '
+        'in the parent', 'urdf', _urdf),
+    'xacro': Exporter(
+        'the joint of urdf as a macro; its origin is the pose of the child in the parent',
+        'xacro', _xacro),
+    'static-tf': Exporter(
+        'command that publishes the pose of the child (--child-frame-id) in the parent '
+        '(--frame-id)', 'sh', _static_tf, stem='static_transform'),
+    'launch': Exporter(
+        'launch file that publishes the pose of the child in the parent', 'launch.py', _launch,
+        stem='static_transform'),
+    'matrix': Exporter(
+        '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'txt',
+        _matrix, stem='matrix'),
+    'npy': Exporter(
+        '4 x 4 NumPy array, the pose of the child in the parent', 'npy',
+        None, _npy, stem='matrix'),
+    'json': Exporter('the pose of the child in the parent with its covariance', 'json', _json),
+    'yaml': Exporter('the pose of the child in the parent, for YAML 1.1 and 1.2', 'yaml', _yaml),
+    'tum': Exporter('one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'tum',
+                    _tum),
+    'autoware': Exporter(
+        'sensor_kit_calibration.yaml: the pose of the child under its parent', 'yaml',
+        _autoware, stem='sensor_kit_calibration'),
+    'kalibr': Exporter(
+        'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '
+        'inverse of the pose of the child in the parent', 'yaml', _kalibr, stem='camchain'),
+}
+
+
+def write_exports(item: CalibrationResult | Placement, folder: Path) -> list[Path]:
+    """Write every format into a folder, which is made, over what is there; return the files.
+
+    Raises
+    ------
+    ConfigError
+        Both frames have one name.
+    ResultError
+        The folder or a file cannot be written.
+
+    """
+    placement = _placement(item)
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for exporter in EXPORTS.values():
+            path = folder / exporter.file_name
+            # The other formats may well hold a name that this one cannot.
+            with suppress(ConfigError):
+                path.write_bytes(exporter.encode(placement))
+                written.append(path)
+    except OSError as error:
+        raise ResultError(f'{folder} cannot be written: {error.strerror or error}') from error
+    return written

@@ -1,0 +1,298 @@
+"""A known extrinsic out of a file, in any of the forms in which people have one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+import re
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from trajectory_calibration.config.yaml_file import parse_yaml
+from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
+from trajectory_calibration.errors import ConfigError, SourceError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.frame_tree import FrameTree
+
+FORMS = (
+    'one row [t] x y z qx qy qz qw; 4 x 4 or 3 x 4 numbers (text or .npy); x y z roll pitch yaw '
+    'in metres and radians; URDF <origin>; KITTI calib file; Kalibr camchain; Autoware sensor '
+    'kit; a saved result; an export of this tool')
+
+
+class KnownExtrinsic(NamedTuple):
+    """A transform and how it was read.
+
+    Attributes
+    ----------
+    T_a_b : (4, 4), the pose of b in a, metres.
+    how : one sentence that says which frames a and b are there.
+
+    """
+
+    T_a_b: FloatArray
+    how: str
+
+
+def read_extrinsic(
+    path: str | Path, frame_a: str | None = None, frame_b: str | None = None,
+) -> KnownExtrinsic:
+    """Read the pose of b in a.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. ``FILE#NAME`` picks one of several: a joint or child link of a URDF, a camera
+        of a Kalibr chain, a sensor of an Autoware kit, ``02`` of a KITTI cam_to_cam file.
+    frame_a, frame_b : str, optional
+        Names by which a URDF or an Autoware kit is searched first.
+
+    Returns
+    -------
+    KnownExtrinsic
+        With the direction in words: Kalibr and KITTI files hold the inverse, which is undone.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, holds none of ``FORMS``, or several transforms.
+
+    """
+    file, key = _split(str(path))
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise SourceError(f'{file} cannot be read: {error.strerror or error}') from error
+    if data.startswith(b'\x93NUMPY'):
+        return KnownExtrinsic(
+            _rigid(_load_npy(file), file), '4 x 4 array, taken as the pose of b in a')
+    try:
+        text = data.decode('utf-8-sig')
+    except UnicodeDecodeError:
+        raise SourceError(f'{file} is no text; needed {FORMS}') from None
+    if text.lstrip().startswith('<'):
+        return _from_urdf(FrameTree.parse(text, file), key, frame_a, frame_b)
+    if file.suffix in ('.yaml', '.yml', '.json'):
+        found = parse_yaml(text, f'{file} cannot be read as YAML', SourceError)
+        return _from_mapping(found, file, key, frame_a, frame_b)
+    lines = [line.strip() for line in text.splitlines()]
+    lines = [line for line in lines if line and not line.startswith('#')]
+    named = [re.fullmatch(r'(\w+):(.*)', line) for line in lines]
+    if any(named):
+        return _from_kitti({m[1]: m[2] for m in named if m}, file, key)
+    return _from_numbers(lines, file)
+
+
+def parse_transform(text: str) -> FloatArray:
+    """Return the (4, 4) pose of six or seven numbers, separated by spaces or commas.
+
+    ``x y z roll pitch yaw`` (metres, radians, as in URDF) or ``x y z qx qy qz qw``.
+
+    Raises
+    ------
+    ConfigError
+        Other text.
+
+    """
+    needed = 'x,y,z,roll,pitch,yaw (metres, radians, as in URDF) or x,y,z,qx,qy,qz,qw'
+    try:
+        values = np.array(re.split(r'[\s,]+', text.strip(' ,[]\t\n')), dtype=np.float64)
+    except ValueError:
+        raise ConfigError(f'transform {text!r}: needed {needed}') from None
+    if values.shape not in ((6,), (7,)) or not np.isfinite(values).all():
+        raise ConfigError(f'transform {text!r} has {values.size} numbers, needed {needed}')
+    if values.size == 6:
+        return se3.from_rotation_translation(
+            se3.rotation_from_roll_pitch_yaw(values[3:]), values[:3])
+    norm = float(np.linalg.norm(values[3:]))
+    if not abs(norm - 1) <= ROTATION_TOLERANCE:
+        raise ConfigError(
+            f'transform {text!r}: the quaternion has norm {norm:.4g}, needed 1; order x, y, z, w')
+    return se3.from_rotation_translation(
+        se3.quaternion_to_rotation(values[3:] / norm), values[:3])
+
+
+def _split(path: str) -> tuple[Path, str | None]:
+    file, mark, key = path.rpartition('#')
+    if mark and not Path(path).exists():
+        return Path(file), key
+    return Path(path), None
+
+
+def _load_npy(file: Path) -> FloatArray:
+    try:
+        return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+    except ValueError as error:
+        raise SourceError(f'{file} cannot be read as a NumPy array: {error}') from error
+
+
+def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
+    """Return a checked (4, 4) pose of a (4, 4) or (3, 4) matrix, its rotation made exact."""
+    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
+        raise SourceError(f'{file}: {matrix.shape} numbers, needed 4 x 4 or 3 x 4')
+    R = matrix[:3, :3]
+    last_row = matrix[3] if len(matrix) == 4 else np.eye(4)[3]
+    off = np.abs(R.T @ R - np.eye(3)).max()
+    if off > ROTATION_TOLERANCE or np.linalg.det(R) < 0 or not np.allclose(
+            last_row, np.eye(4)[3], atol=1e-6):
+        raise SourceError(
+            f'{file}: the upper left 3 x 3 is no rotation (off by {off:.2g}), or the last row '
+            'not 0 0 0 1; needed a rigid transform, row by row')
+    # Digits beyond those of the file are rounding, which the nearest rotation has not; a matrix
+    # that is exact stays as it is.
+    exact = R if off < 1e-14 else se3.nearest_rotation(R)
+    return se3.from_rotation_translation(exact, matrix[:3, 3])
+
+
+def _from_numbers(lines: list[str], file: Path) -> KnownExtrinsic:
+    try:
+        rows = [np.array(re.split(r'[\s,]+', line.strip('[], \t')), dtype=np.float64)
+                for line in lines]
+    except ValueError:
+        raise SourceError(f'{file} holds no transform; needed {FORMS}') from None
+    widths = [row.size for row in rows]
+    if widths == [8]:
+        return _from_row(rows[0][1:], file)
+    if widths in ([6], [7]):
+        return _from_row(rows[0], file)
+    if widths in ([16], [12]):
+        return KnownExtrinsic(_rigid(rows[0].reshape(-1, 4), file),
+                              'one row of a matrix, taken as the pose of b in a')
+    if widths in ([4] * 4, [4] * 3):
+        return KnownExtrinsic(_rigid(np.array(rows), file), 'matrix, taken as the pose of b in a')
+    found = f'{len(rows)} rows of {widths[0]} numbers' if rows else 'no numbers'
+    raise SourceError(f'{file} holds {found}, needed one transform: {FORMS}')
+
+
+def _from_row(values: FloatArray, file: Path) -> KnownExtrinsic:
+    try:
+        T = parse_transform(' '.join(map(repr, values.tolist())))
+    except ConfigError as error:
+        raise SourceError(f'{file}: {error}') from error
+    return KnownExtrinsic(T, 'one row, taken as the pose of b in a')
+
+
+def _from_urdf(
+    tree: FrameTree, key: str | None, frame_a: str | None, frame_b: str | None,
+) -> KnownExtrinsic:
+    joints = list(tree.joints.values())
+    if key is not None:
+        joints = [joint for joint in joints if key in (joint.name, joint.child)]
+    elif frame_a and frame_b and {frame_a, frame_b} <= (
+            set(tree.joints) | {joint.parent for joint in joints}):
+        return KnownExtrinsic(tree.transform(frame_a, frame_b),
+                              f'URDF, the pose of {frame_b} in {frame_a}')
+    if len(joints) != 1:
+        names = ', '.join(joint.name for joint in tree.joints.values())
+        raise SourceError(
+            f'{tree.path} holds {len(joints)} joints{f" named {key}" if key else ""}, needed one: '
+            f'append #JOINT to the file ({names}), or name the frames as the links are named')
+    joint = joints[0]
+    named = f'the pose of {joint.child} in {joint.parent}' if joint.child else 'origin'
+    return KnownExtrinsic(joint.T_parent_child, f'URDF, {named}, taken as the pose of b in a')
+
+
+def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownExtrinsic:
+    """Read ``R:`` and ``T:``, ``R_02:`` and ``T_02:``, ``Tr:`` or ``Tr_velo_to_cam:``."""
+    matrices = {}
+    for name, text in rows.items():
+        if name.startswith('Tr'):
+            matrices[name] = _values(text, 12, name, file).reshape(3, 4)
+        elif re.fullmatch(r'R(_\d+)?', name) and f'T{name[1:]}' in rows:
+            R = _values(text, 9, name, file).reshape(3, 3)
+            t = _values(rows[f'T{name[1:]}'], 3, f'T{name[1:]}', file)
+            matrices[name[2:] or name] = np.column_stack([R, t])
+    if key is None:
+        # Camera 0 in camera 0 is no news.
+        matrices.pop('00', None)
+    else:
+        matrices = {name: matrix for name, matrix in matrices.items() if name == key}
+    if len(matrices) != 1:
+        raise SourceError(
+            f'{file} holds {len(matrices)} transforms{f" named {key}" if key else ""}, needed '
+            f'one{": append #" + " or #".join(matrices) + " to the file" if matrices else ""}; '
+            'of a KITTI calib file R and T, R_02 and T_02, or Tr are read')
+    (matrix,) = matrices.values()
+    return KnownExtrinsic(
+        se3.inverse(_rigid(matrix, file)),
+        'KITTI, which maps points of the first sensor to the second (calib_velo_to_cam: a velo, '
+        'b cam); inverted to the pose of the second in the first')
+
+
+def _values(text: str, count: int, name: str, file: Path) -> FloatArray:
+    try:
+        values = np.array(text.split(), dtype=np.float64)
+    except ValueError:
+        values = np.empty(0)
+    if values.size != count:
+        raise SourceError(f'{file}: {name} has {values.size} numbers, needed {count}')
+    return values
+
+
+def _from_mapping(
+    data: Any, file: Path, key: str | None, frame_a: str | None, frame_b: str | None,
+) -> KnownExtrinsic:
+    if isinstance(data, Mapping):
+        try:
+            if 'T_a_b' in data:
+                pose = data['T_a_b']
+                values = [*pose['translation'], *pose['rotation_xyzw']]
+                return KnownExtrinsic(
+                    _from_row(np.array(values, dtype=np.float64), file).T_a_b,
+                    f'saved result, the pose of {data.get("frame_b")} in {data.get("frame_a")}')
+            if 'T_parent_child' in data:
+                return KnownExtrinsic(
+                    _rigid(np.array(data['T_parent_child'], dtype=np.float64), file),
+                    f'export, the pose of {data.get("child")} in {data.get("parent")}')
+            cameras = {str(name): item for name, item in data.items()
+                       if isinstance(item, Mapping) and 'T_cn_cnm1' in item}
+            if cameras:
+                return _from_kalibr(cameras, file, key)
+            return _from_autoware(data, file, key, frame_a, frame_b)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise SourceError(
+                f'{file} holds no transform ({type(error).__name__}: {error}); needed {FORMS}'
+            ) from error
+    raise SourceError(f'{file} holds no transform; needed {FORMS}')
+
+
+def _from_kalibr(cameras: Mapping[str, Any], file: Path, key: str | None) -> KnownExtrinsic:
+    if key is None and len(cameras) > 1:
+        raise SourceError(f'{file} holds {len(cameras)} transforms, needed one: append '
+                          f'#{" or #".join(cameras)} to the file')
+    last = key or next(iter(cameras))
+    T_last_first = np.eye(4)
+    for name in sorted(cameras, key=lambda text: int(re.sub(r'\D', '', text) or 0)):
+        T_last_first = _rigid(
+            np.array(cameras[name]['T_cn_cnm1'], dtype=np.float64), file) @ T_last_first
+        if name == last:
+            return KnownExtrinsic(
+                se3.inverse(T_last_first),
+                f'Kalibr, whose T_cn_cnm1 maps points of the camera before to the next; inverted '
+                f'to the pose of {last} (b) in the first camera (a)')
+    raise SourceError(f'{file} has no {last}; it has {", ".join(cameras)}')
+
+
+def _from_autoware(
+    data: Mapping[Any, Any], file: Path, key: str | None, frame_a: str | None,
+    frame_b: str | None,
+) -> KnownExtrinsic:
+    found = {}
+    for base, children in data.items():
+        for child, pose in children.items():
+            found[str(base), str(child)] = np.array(
+                [pose[name] for name in ('x', 'y', 'z', 'roll', 'pitch', 'yaw')], np.float64)
+    if key is not None:
+        found = {names: values for names, values in found.items() if names[1] == key}
+    elif (frame_a, frame_b) in found:
+        found = {names: values for names, values in found.items() if names == (frame_a, frame_b)}
+    if len(found) != 1:
+        names = ' or #'.join(child for _, child in found)
+        raise SourceError(
+            f'{file} holds {len(found)} transforms, needed one: append #{names or "SENSOR"} to '
+            'the file')
+    ((base, child), values), = found.items()
+    return KnownExtrinsic(_from_row(values, file).T_a_b,
+                          f'Autoware, the pose of {child} in {base}, taken as that of b in a')

@@ -1,0 +1,95 @@
+"""One transform between two named frames, moved to where a tree of frames needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The pose of one frame in another, as an export writes it.
+
+    Attributes
+    ----------
+    parent, child : names of the frames.
+    T_parent_child : (4, 4), the pose of the child in the parent, metres:
+        ``p_parent = T_parent_child @ p_child``.
+    covariance : (6, 6) or None; x, y, z (m), then rotation x, y, z (rad) about the axes of the
+        parent, as in ``CalibrationResult``.
+    unobserved : the degrees of freedom of the result that neither the motion nor a prior
+        determines, as 'z of camera in lidar'.
+    origin : one sentence about where the numbers come from.
+
+    """
+
+    parent: str
+    child: str
+    T_parent_child: FloatArray
+    covariance: FloatArray | None = None
+    unobserved: tuple[str, ...] = ()
+    origin: str = ''
+
+    @classmethod
+    def of(cls, result: CalibrationResult) -> Placement:
+        """Return the extrinsic of a result: a is the parent, b the child."""
+        a, b = result.frame_a, result.frame_b
+        return cls(
+            a, b, result.T_a_b, result.covariance,
+            tuple(f'{name} of {b} in {a}' for name in result.observability.unobserved),
+            f'trajectory_calibration {result.version}, solver {result.config.solver}, '
+            f'{result.motions} motions')
+
+    def inverted(self) -> Placement:
+        """Return the pose of the parent in the child."""
+        R, t = self.T_parent_child[:3, :3], self.T_parent_child[:3, 3]
+        J = np.zeros((6, 6))
+        J[:3, :3] = J[3:, 3:] = -R.T
+        J[:3, 3:] = -R.T @ se3.skew(t)
+        return replace(
+            self, parent=self.child, child=self.parent,
+            T_parent_child=se3.inverse(self.T_parent_child), covariance=self._carried(J))
+
+    def under(self, parent: str, T_new_parent: FloatArray) -> Placement:
+        """Return the same child in another parent.
+
+        ``T_new_parent`` (4, 4) is the pose of the present parent in the new one.
+        """
+        J = np.zeros((6, 6))
+        J[:3, :3] = J[3:, 3:] = T_new_parent[:3, :3]
+        return replace(
+            self, parent=parent, T_parent_child=T_new_parent @ self.T_parent_child,
+            covariance=self._carried(J))
+
+    def holding(self, child: str, T_new_child: FloatArray) -> Placement:
+        """Return the pose of another frame that is fixed to the child.
+
+        ``T_new_child`` (4, 4) is the pose of the present child in the new one: of the optical
+        frame in ``camera_link``.
+        """
+        T_child_new = se3.inverse(T_new_child)
+        J = np.eye(6)
+        J[:3, 3:] = -se3.skew(self.T_parent_child[:3, :3] @ T_child_new[:3, 3])
+        return replace(
+            self, child=child, T_parent_child=self.T_parent_child @ T_child_new,
+            covariance=self._carried(J))
+
+    def require_two_frames(self) -> Placement:
+        """Return self; raise ConfigError where both frames have one name."""
+        if self.parent == self.child:
+            raise ConfigError(
+                f'both frames are named {self.parent}: a frame cannot be its own parent; '
+                'name them with --frame-a and --frame-b of calibrate, or --parent and --child')
+        return self
+
+    def _carried(self, jacobian: FloatArray) -> FloatArray | None:
+        if self.covariance is None:
+            return None
+        carried: FloatArray = jacobian @ self.covariance @ jacobian.T
+        return carried
