@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-import numpy as np
-
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import parted_steps, require_agreement
 from trajectory_calibration.assessment.metrics import relative_errors
@@ -14,6 +12,7 @@ from trajectory_calibration.assessment.observability import observe, require_obs
 from trajectory_calibration.assessment.prior_update import apply_prior, contradictions
 from trajectory_calibration.assessment.reference_selection import choose_reference
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
@@ -22,10 +21,7 @@ from trajectory_calibration.errors import MotionError, SolverError, TrajectoryEr
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.time_alignment.align import match
-from trajectory_calibration.time_alignment.clock_offset import Clock
-
-# Beyond this share of poses of b without a partner, the result warns: too much was not used.
-_UNPAIRED_SHARE = 0.1
+from trajectory_calibration.time_alignment.pairing import association_findings, UNPAIRED_SHARE
 
 # With fewer pairs than this, how they came about may be why there is no answer.
 _FEW_PAIRS = 30
@@ -72,8 +68,9 @@ def calibrate(
     # A camera without scale may be as fast as it likes: the unit of b is found.
     doubts = (*time_doubts(trajectory_a), *time_doubts(trajectory_b),
               *position_doubts(trajectory_a))
-    matched = (*_association_warnings(pairs.summary, trajectory_a, trajectory_b),
-               *_clock_warnings(clock, config.time_offset, trajectory_b))
+    matched = (*association_findings(pairs.summary, trajectory_a, trajectory_b),
+               *clock.findings(config.time_offset, trajectory_b.sensor_frame,
+                               trajectory_b.duration_s))
     with _recalled((*doubts, *(matched if _matched_little(pairs.summary) else ()))):
         choice = choose_reference(pairs, config)
         motions = select_motions(pairs, choice.reference)
@@ -118,28 +115,28 @@ def calibrate(
         clock_drift=clock.drift,
         clock_drift_from_ns=clock.drift_from_ns,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
-        warnings=(
-            *trajectory_a.warnings,
-            *trajectory_b.warnings,
+        findings=worst_first((
+            *trajectory_a.findings,
+            *trajectory_b.findings,
             *doubts,
             *matched,
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
-            *solution.warnings,
+            *solution.findings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
-            *uncertainty.warnings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
-            *observability.warnings,
-        ),
+            *uncertainty.findings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
+            *observability.findings,
+        )),
     )
 
 
 @contextmanager
-def _recalled(found: Sequence[str]) -> Iterator[None]:
+def _recalled(found: Sequence[Finding]) -> Iterator[None]:
     """Add what was found of the input to an error that it may explain."""
     try:
         yield
     except (MotionError, SolverError) as error:
         if found:
-            error.args = (f'{error}; found before: {"; ".join(found)}',)
+            error.args = (f'{error}; found before: {"; ".join(map(str, found))}',)
         raise
 
 
@@ -147,51 +144,4 @@ def _matched_little(summary: AssociationSummary) -> bool:
     """Tell whether the pairs are few, or much was left without a partner."""
     count = summary.poses_b if summary.stamps_of == 'b' else summary.poses_a
     unpaired = max(summary.in_gaps, summary.outside) / count
-    return summary.pairs < _FEW_PAIRS or unpaired > _UNPAIRED_SHARE
-
-
-def _clock_warnings(clock: Clock, given_s: float, b: Trajectory) -> list[str]:
-    warnings = []
-    if clock.offset_s != given_s:
-        offset = f'clock offset {1e3 * (clock.offset_s - given_s):+.1f} ms'
-        warnings.append(
-            f'{offset} found from the turning of both, added to the stamps of {b.sensor_frame}')
-    if clock.rivals_s:
-        others = ', '.join(f'{seconds:+.3f}' for seconds in clock.rivals_s[:3])
-        warnings.append(
-            f'the clocks may as well be {others} s apart, and the extrinsic then another one: the '
-            'motion repeats itself, or is too short to tell; move irregularly, or set time_offset '
-            'and time_offset_mode fixed')
-    if clock.drift:
-        apart_ms = abs(1e3 * clock.drift * b.duration_s)
-        warnings.append(
-            f'the clock of {b.sensor_frame} runs {"slow" if clock.drift > 0 else "fast"} by '
-            f'{abs(1e6 * clock.drift):.1f} ppm (+- {1e6 * clock.drift_std:.1f} ppm): '
-            f'{apart_ms:.1f} ms from its first pose to its last, taken out of its stamps')
-    if clock.uneven_s:
-        warnings.append(
-            f'the clock of {b.sensor_frame} does not run evenly: it is off that by up to '
-            f'{1e3 * clock.uneven_s:.1f} ms; was a clock set on the way? Then calibrate each part '
-            'alone')
-    return warnings
-
-
-def _association_warnings(
-    summary: AssociationSummary, a: Trajectory, b: Trajectory,
-) -> list[str]:
-    """Name what the association left unused, where it is much, and sensors that are one."""
-    warnings = []
-    one, other = (b, a) if summary.stamps_of == 'b' else (a, b)
-    for count, where in ((summary.in_gaps, f'fall in gaps of {other.sensor_frame}'),
-                         (summary.outside, f'lie outside the time of {other.sensor_frame}')):
-        share = count / len(one)
-        if share > _UNPAIRED_SHARE:
-            warnings.append(f'{share:.0%} of the poses of {one.sensor_frame} {where}')
-    if np.array_equal(a.poses, b.poses):
-        warnings.append(
-            f'{a.sensor_frame} and {b.sensor_frame} report the same poses, digit for digit: the '
-            'answer is the pose of a sensor in itself; check that two sensors were given')
-    if a.sensor_frame == b.sensor_frame:
-        warnings.append(f'both sensors are named {a.sensor_frame}: name their frames before '
-                        'publishing the transform')
-    return warnings
+    return summary.pairs < _FEW_PAIRS or unpaired > UNPAIRED_SHARE

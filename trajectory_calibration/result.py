@@ -20,6 +20,7 @@ from trajectory_calibration.assessment.metrics import (
 from trajectory_calibration.assessment.observability import Observability
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
 from trajectory_calibration.errors import CalibrationError, ResultError
@@ -28,7 +29,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 # Poses or motions of a result: more than any memory holds are a spoilt file.
 _LARGEST_COUNT = 10**9
@@ -53,7 +54,8 @@ class CalibrationResult:
     observability : what the motion determined.
     association : how the poses were paired.
     config : the settings that were used.
-    warnings : sentences about the data and the answer that a person should read.
+    findings : what a person should know of the data and the answer, worst first; their codes
+        are those of docs/findings.md.
     scale : metres of a per metre of b, by which b was multiplied.
     time_offset_s : seconds that were added to the stamps of b.
     clock_drift : seconds a second by which the clock of b was made to run faster before that.
@@ -80,7 +82,7 @@ class CalibrationResult:
     observability: Observability
     association: AssociationSummary
     config: CalibrationConfig
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     scale: float = 1.0
     time_offset_s: float = 0.0
     clock_drift: float = 0.0
@@ -99,6 +101,11 @@ class CalibrationResult:
                 array = np.array(array)
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return the sentences of the findings."""
+        return texts(self.findings)
 
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
         """Return e_at (m) and e_aR (rad) against a known (4, 4) extrinsic."""
@@ -140,6 +147,7 @@ class CalibrationResult:
             'diagnosis': self.diagnosis,
             'association': asdict(self.association),
             'config': self.config.to_dict(),
+            'findings': [found.to_dict() for found in self.findings],
             'warnings': list(self.warnings),
         }
 
@@ -155,7 +163,7 @@ class CalibrationResult:
 
         """
         try:
-            if data['format_version'] != FORMAT_VERSION:
+            if data['format_version'] not in range(1, FORMAT_VERSION + 1):
                 raise ResultError(
                     f'result has the format {data["format_version"]}, this version reads '
                     f'{FORMAT_VERSION}; install the version that wrote it '
@@ -164,6 +172,7 @@ class CalibrationResult:
             rotation = se3.quaternion_to_rotation(_unit(pose['rotation_xyzw']))
             covariance = data['covariance']
             ranges = data['inlier_motions']
+            findings = _findings(data)
             return cls(
                 frame_a=str(data['frame_a']),
                 frame_b=str(data['frame_b']),
@@ -174,11 +183,12 @@ class CalibrationResult:
                 poses=_count(data['poses']),
                 motions=_count(data['motions']),
                 inliers=None if ranges is None else _mask(ranges, _count(data['motions'])),
-                observability=Observability.from_dict(data['observability']),
+                observability=Observability.from_dict(
+                    data['observability'],
+                    [found for found in findings if found.code.startswith('direction-')]),
                 association=_association(data['association']),
                 config=CalibrationConfig.from_dict(_of_kind(dict, data['config'])),
-                warnings=tuple(_of_kind(str, item)
-                               for item in _of_kind(list, data['warnings'])),
+                findings=findings,
                 scale=_number(data['scale']),
                 time_offset_s=_number(data['time_offset_s']),
                 # Saved before clocks were known to drift, a result has none.
@@ -248,6 +258,14 @@ def _count(value: Any) -> int:
     if not 0 <= count <= _LARGEST_COUNT:
         raise ValueError(f'found {count}, needed a number from 0 to {_LARGEST_COUNT}')
     return count
+
+
+def _findings(data: dict[str, Any]) -> tuple[Finding, ...]:
+    if data['format_version'] == 1:
+        return tuple(Finding('other', _of_kind(str, item))
+                     for item in _of_kind(list, data['warnings']))
+    return tuple(Finding.from_dict(_of_kind(dict, item))
+                 for item in _of_kind(list, data['findings']))
 
 
 def _association(data: Any) -> AssociationSummary:

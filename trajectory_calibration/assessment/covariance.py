@@ -39,6 +39,7 @@ from trajectory_calibration.assessment.excitation import (
     weighted_instruments,
 )
 from trajectory_calibration.assessment.variogram import identify_noise, PairNoise, step_lengths
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
@@ -72,15 +73,16 @@ class Uncertainty:
     drift: FloatArray | None = None
     unobserved: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
 
-    def warnings(self, frame_a: str, frame_b: str) -> tuple[str, ...]:
+    def findings(self, frame_a: str, frame_b: str) -> tuple[Finding, ...]:
         """Return what a person should know of it, with the names of the sensors."""
         if self.drift is None:
             return ()
         percent = ', '.join(f'{100 * value:.2g}' for value in self.drift)
-        text = (f'{frame_b} drifts against {frame_a} by ({percent}) percent of the way along x, '
-                f'y, z of {frame_a}, or its scale is off; the answer is uncertain by as much as '
-                'that could move it')
-        return (text,)
+        return (Finding(
+            'drift-proven',
+            f'{frame_b} drifts against {frame_a} by ({percent}) % of the distance along x, y, z '
+            f'of {frame_a}, or its scale is off. The standard deviations include that. Try solver '
+            'drift_aware', {'drift_per_metre': self.drift.tolist()}),)
 
 
 def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertainty:

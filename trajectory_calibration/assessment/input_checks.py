@@ -16,6 +16,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.excitation import thinned
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
@@ -108,7 +109,7 @@ def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
     return np.inf
 
 
-def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
+def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
     """Return a warning where the sensors turned apart within a single step.
 
     A SLAM that began anew, between two bags for instance, has another world: motions across it
@@ -124,11 +125,12 @@ def parted_steps(pairs: PosePairs) -> tuple[str, ...]:
         return ()
     k = int(found[apart[found].argmax()])
     pause = (pairs.stamps_ns[k + 1] - pairs.stamps_ns[k]) * 1e-9
-    warning = (
-        f'the sensors turned apart in {len(found)} steps, the most by '
+    warning = Finding(
+        'orientation-jumps', f'the sensors turned apart in {len(found)} steps, the most by '
         f'{np.rad2deg(apart[k]):.3g} deg, {pause:.3g} s from {pairs.stamps_ns[k] * 1e-9:.3f} s: a '
         'SLAM that began anew or closed a loop has another world, and motions across it are '
-        'none; use drift_aware, which sets such steps aside, or calibrate each part alone')
+        'none; use drift_aware, which excludes such steps, or calibrate each part alone',
+        {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))})
     return (warning,)
 
 

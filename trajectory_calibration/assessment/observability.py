@@ -6,6 +6,7 @@ standard deviation is large. The limits are settings, the words are for the driv
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.excitation import UNKNOWN
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.geometry import se3
@@ -76,7 +78,7 @@ class Observability:
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
     translation_axes : three unit vectors in a, weakest first.
-    warnings : the weak directions in words.
+    findings : the weak directions in words.
 
     """
 
@@ -85,7 +87,7 @@ class Observability:
     excitation_deg: tuple[float, ...]
     translation_gain: tuple[float, ...]
     translation_axes: tuple[tuple[float, ...], ...]
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -97,6 +99,11 @@ class Observability:
         """Return the degrees of freedom that are determined, but badly."""
         return tuple(name for name, status in self.status.items() if status == WEAK)
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return the sentences of the findings."""
+        return texts(self.findings)
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON or YAML."""
         return {
@@ -105,16 +112,14 @@ class Observability:
             'excitation_deg': list(self.excitation_deg),
             'translation_gain': list(self.translation_gain),
             'translation_axes': [list(axis) for axis in self.translation_axes],
-            'warnings': list(self.warnings),
+            'warnings': [found.text for found in self.findings],
         }
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Observability:
-        """Rebuild from ``to_dict``."""
-        # Older files hold these among the warnings of the result only.
-        warnings = data.get('warnings', [])
-        if not isinstance(warnings, list):
-            raise TypeError(f'warnings: found {warnings!r}, needed a list of sentences')
+    def from_dict(
+        cls, data: dict[str, Any], findings: Iterable[Finding] = (),
+    ) -> Observability:
+        """Rebuild from ``to_dict`` and the findings, which a result holds with the others."""
         return cls(
             {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
             tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
@@ -123,7 +128,7 @@ class Observability:
             tuple(map(float, data['excitation_deg'])),
             tuple(map(float, data['translation_gain'])),
             tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
-            tuple(map(str, warnings)))
+            tuple(findings))
 
 
 def observe(
@@ -273,7 +278,7 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
 
 def _describe(
     item: WeakAxis, single: FloatArray | None, turned: float, frame: str,
-) -> str:
+) -> Finding:
     """Return what a driver needs to know about a weak direction.
 
     ``single`` is the axis of nearly all turns, or None; ``turned`` is their size in degrees.
@@ -282,16 +287,28 @@ def _describe(
     where = (f'translation along {name} of {frame}' if item.kind == 'translation'
              else f'rotation about {name} of {frame}')
     unit = 'm' if item.kind == 'translation' else 'deg'
+    values = {'kind': item.kind, 'axis': list(item.axis), f'std_{unit}': item.std}
     if item.status == WEAK:
         advice = ('drive tighter curves, steeper ramps, or longer' if item.kind == 'translation'
                   else 'drive more curves, ramps and banks, or longer')
-        return f'{where}: weak, standard deviation {item.std:.2g} {unit}; {advice}'
+        return Finding('direction-weak', f'{where} weak: standard deviation {item.std:.2g} '
+                       f'{unit}. {advice.capitalize()}', values)
     if turned < _HARDLY:
-        return (f'{where}: not observed, the vehicle hardly turned; drive curves, and a ramp or '
-                'a bank')
-    if single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
-        return (f'{where}: not observed, the vehicle turned about {axis_name(single)} only, as '
-                'far as noise lets it be seen; drive a ramp or a bank')
-    return (f'{where}: not observed, the noise is too large for the motion: what the two sensors '
-            'report of it does not stand out of their disagreement; turn more, and check units, '
-            'clocks and jumps')
+        why = 'the vehicle hardly turned. Drive curves, and a ramp or a bank'
+    elif single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
+        why = (f'the vehicle turned about {axis_name(single)} only. Drive a ramp or a bank')
+    else:
+        why = ('the noise is too large for the motion. Turn more, and check units, clocks and '
+               'jumps')
+    return Finding('direction-unobserved', f'{where} unobservable: {why}{_ways_out(item)}', values)
+
+
+def _ways_out(item: WeakAxis) -> str:
+    """Return the other two ways out of a direction that the motion left open."""
+    if item.kind == 'translation':
+        k = int(np.argmax(np.abs(item.axis)))
+        known = ','.join('XYZ'[k] if k == j else '-' for j in range(3))
+        prior = f'--prior-translation={known} --prior-translation-std=0.01'
+    else:
+        prior = '--prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
+    return f', or measure it and add {prior}, or set allow_unobserved'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.config.prior import FIXED, Prior
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -157,7 +158,7 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
 
 def contradictions(
     T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
-) -> tuple[str, ...]:
+) -> tuple[Finding, ...]:
     """Say where the prior is far from the answer of the motion alone, for the uncertainty of both.
 
     Combined, two that contradict each other give an answer that neither of them supports.
@@ -170,9 +171,11 @@ def contradictions(
         if distance > _CONTRADICTION * both:
             what = (f'translation {"xyz"[k]} is {distance:.3g} m' if k < 3 else
                     f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
-            found.append(
-                f'the prior of the {what} from what the motion says, {distance / both:.0f} '
-                'standard deviations of both: one of them is wrong, and the answer is between')
+            found.append(Finding(
+                'prior-contradicts',
+                f'the prior of the {what} from the answer of the motion, {distance / both:.0f} '
+                'standard deviations of both. One of them is wrong, and the result lies between',
+                {'component': int(k), 'sigmas': distance / both}))
     return tuple(found)
 
 

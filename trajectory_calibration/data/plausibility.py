@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 
 # Median speed, metres a second, above which no ground vehicle and hardly a drone moves.
@@ -26,20 +27,21 @@ _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e
 _RATES = 10.0
 
 
-def time_doubts(trajectory: Trajectory) -> tuple[str, ...]:
+def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the stamps, where the steps are far too long."""
     step = trajectory.usual_step_ns * 1e-9
     if step <= _LONGEST_STEP:
         return ()
     unit, divisor = next(
         (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
-    question = (
+    question = Finding(
+        'time-unit',
         f'{trajectory.sensor_frame}: the median step between its poses is {step:.6g} s: are its '
-        f'times in {unit}? Then divide them by {divisor}')
+        f'times in {unit}? Then divide them by {divisor}', {'median_step_s': step})
     return (question,)
 
 
-def position_doubts(trajectory: Trajectory) -> tuple[str, ...]:
+def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the positions, where they move far too fast."""
     every = max(1, min(round(_SPEED_SPAN_NS / trajectory.usual_step_ns), len(trajectory) - 1))
     way = np.linalg.norm(
@@ -48,13 +50,14 @@ def position_doubts(trajectory: Trajectory) -> tuple[str, ...]:
     speed = float(np.median(way / time_s))
     if speed <= _FASTEST:
         return ()
-    question = (
+    question = Finding(
+        'length-unit',
         f'{trajectory.sensor_frame}: its median speed is {speed:.3g} m/s: are its positions in '
-        'metres? Divide millimetres by 1000')
+        'metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed})
     return (question,)
 
 
-def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[str, ...]:
+def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
     """Return questions about the unit of the stamps of two trajectories that do not match.
 
     Those about each of them, or else one where they have no time in common and their steps
@@ -68,10 +71,11 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[str, ...]:
     factor = long_.usual_step_ns / short.usual_step_ns
     for unit, divisor in _UNITS:
         if 1 / _RATES < factor / float(divisor) < _RATES:
-            question = (
+            question = Finding(
+                'time-unit',
                 f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
                 f'and {long_.usual_step_ns * 1e-9:.3g} s in {long_.sensor_frame}: are the times '
                 f'of {long_.sensor_frame} in {unit}, those of {short.sensor_frame} in seconds? '
-                f'Then divide them by {divisor}')
+                f'Then divide them by {divisor}', {'factor': factor})
             return (question,)
     return ()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.errors import TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -38,7 +39,7 @@ class Trajectory:
         ``T_world_sensor`` at each stamp, metres.
     world_frame, sensor_frame : str
         Names of the two frames.
-    warnings : tuple of str
+    findings : tuple of Finding
         What was repaired on the way in: samples reordered, duplicates dropped, rotations
         normalised. Passed on to the result.
 
@@ -54,7 +55,7 @@ class Trajectory:
     poses: FloatArray
     world_frame: str = 'map'
     sensor_frame: str = 'sensor'
-    warnings: tuple[str, ...] = field(default=())
+    findings: tuple[Finding, ...] = field(default=())
 
     def __post_init__(self) -> None:
         stamps_ns, stamp_order, notes = _checked_stamps(self.stamps_ns)
@@ -74,8 +75,8 @@ class Trajectory:
         poses.setflags(write=False)
         object.__setattr__(self, 'stamps_ns', stamps_ns)
         object.__setattr__(self, 'poses', poses)
-        object.__setattr__(self, 'warnings', (
-            *self.warnings, *(f'{self.sensor_frame}: {note}' for note in notes)))
+        object.__setattr__(self, 'findings', (*self.findings, *(
+            Finding('input-repaired', f'{self.sensor_frame}: {note}') for note in notes)))
 
     @classmethod
     def from_quaternions(
@@ -85,7 +86,7 @@ class Trajectory:
         quaternions_xyzw: ArrayLike,
         world_frame: str = 'map',
         sensor_frame: str = 'sensor',
-        warnings: tuple[str, ...] = (),
+        findings: tuple[Finding, ...] = (),
     ) -> Trajectory:
         """Build a trajectory from (N,) stamps, (N, 3) metres, (N, 4) quaternions x, y, z, w.
 
@@ -106,10 +107,15 @@ class Trajectory:
             norm = np.linalg.norm(q, axis=1)
         note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
         if note:
-            warnings = (*warnings, f'{sensor_frame}: {note}')
+            findings = (*findings, Finding('input-repaired', f'{sensor_frame}: {note}'))
         R = se3.quaternion_to_rotation(q / norm[:, None])
         return cls(_stamp_array(stamps_ns), se3.from_rotation_translation(R, p),
-                   world_frame, sensor_frame, warnings)
+                   world_frame, sensor_frame, findings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Return the sentences of the findings."""
+        return texts(self.findings)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -121,7 +127,7 @@ class Trajectory:
         poses = self.poses.copy()
         poses[:, :3, 3] *= scale
         return Trajectory(self.stamps_ns, poses, self.world_frame, self.sensor_frame,
-                          self.warnings)
+                          self.findings)
 
     def retimed(self, drift: float, from_ns: int) -> Trajectory:
         """Return the trajectory as a clock that runs faster by ``drift`` (s/s) would have it.
@@ -133,7 +139,7 @@ class Trajectory:
         apart = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
         stamps_ns = self.stamps_ns + apart
         return Trajectory(
-            stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.warnings)
+            stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.findings)
 
     @cached_property
     def usual_step_ns(self) -> float:

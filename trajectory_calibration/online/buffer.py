@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import (
     MAX_POSITION,
     pose_faults,
@@ -109,7 +110,8 @@ class Track:
                 f'check that the topic is published and drive{notes}')
         return Trajectory.from_quaternions(
             self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
-            self.sensor_frame, self.warnings)
+            self.sensor_frame,
+            tuple(Finding('input-repaired', note) for note in self.warnings))
 
 
 class PoseBuffer:

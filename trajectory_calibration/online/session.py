@@ -95,8 +95,7 @@ def _require_observed(result: CalibrationResult) -> None:
     if unobserved and not result.config.allow_unobserved:
         raise MotionError(
             f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} not '
-            f'observed ({"; ".join(result.observability.warnings)}); or give it as a prior, or '
-            'set allow_unobserved')
+            f'observed ({"; ".join(map(str, result.observability.findings))})')
 
 
 def _name_of(topic: str) -> str:

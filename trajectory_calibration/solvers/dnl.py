@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
@@ -67,11 +68,14 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
         start = quadratic.minimise(G, _many_rotations())
         certificate = certify(G, start.T_a_b)
     T_a_b, cost, iterations = minimise_with_ipopt(G, start.T_a_b)
-    doubt = ('dnl: its minimum is not proven to be the lowest; another could have a cost up to '
-             f'{certificate.relative_gap:.2g} times its own lower')
+    doubt = Finding(
+        'minimum-not-proven',
+        'dnl: its minimum is not proven to be the lowest; another could have a cost up to '
+        f'{certificate.relative_gap:.2g} times its own lower',
+        {'relative_gap': certificate.relative_gap})
     return Solution(quadratic.polish(T_a_b, motions, held=held), cost, iterations,
                     linearise=linear.frobenius, optimality_gap=certificate.relative_gap,
-                    warnings=() if certificate.proven else (doubt,))
+                    findings=() if certificate.proven else (doubt,))
 
 
 def _many_rotations() -> FloatArray:

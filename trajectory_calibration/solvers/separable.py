@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.geometry import se3
@@ -36,20 +37,20 @@ def solve_separable(
 
     """
     config = config or CalibrationConfig()
-    motions, inliers, warnings = leave_out_half_turns(motions)
+    motions, inliers, findings = leave_out_half_turns(motions)
     R_a_b = align_rotation_vectors(motions, config)
     t, cost = solve_translation(R_a_b, motions, config)
     return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
-                    inliers=inliers, linearise=linear.separable, warnings=warnings)
+                    inliers=inliers, linearise=linear.separable, findings=findings)
 
 
 def leave_out_half_turns(
     motions: MotionPairs,
-) -> tuple[MotionPairs, NDArray[np.bool_] | None, tuple[str, ...]]:
+) -> tuple[MotionPairs, NDArray[np.bool_] | None, tuple[Finding, ...]]:
     """Leave out the motions whose axis noise may flip, for methods that compare the axes.
 
     Returns the motions to use, which of the given ones they are, (M,), or None for all, and
-    warnings. With reference A all are kept, as in the published figures: its motions wind up to
+    findings. With reference A all are kept, as in the published figures: its motions wind up to
     half a turn wherever a vehicle turns round.
 
     Raises
@@ -71,9 +72,11 @@ def leave_out_half_turns(
     found = (f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
              'axis')
     if motions.reference == 'A':
-        return motions, None, (
-            f'{found}; they are kept, as published: use a reference B<n>, or solver dnl',)
-    return motions.picked(kept), kept, (f'{found}; they are left out',)
+        return motions, None, (Finding(
+            'half-turns', f'{found}; they are kept, as published: use a reference B<n>, or solver '
+            'dnl', {'motions': count}),)
+    return motions.picked(kept), kept, (
+        Finding('half-turns', f'{found}; they are excluded', {'motions': count}),)
 
 
 def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Protocol, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.geometry.se3 import FloatArray
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Solution:
         none of its own; None where they do not apply.
     optimality_gap : upper bound of how much lower the cost could be elsewhere, as a share of it;
         0 is a proof of the global minimum, None where the solver gives no certificate.
-    warnings : sentences for the result.
+    findings : what a person should know of the data and the answer.
     scale : metres of a per metre of b that the solver found, 1 where it does not look for it.
     time_offset_s : seconds to add to the stamps of b, on top of what the association added.
     diagnosis : the noise of the two trajectories, or None where the solver does not identify it.
@@ -73,7 +74,7 @@ class Solution:
     covariance: FloatArray | None = None
     linearise: Linearise | None = None
     optimality_gap: float | None = None
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     scale: float = 1.0
     time_offset_s: float = 0.0
     diagnosis: Diagnosis | None = None

@@ -25,6 +25,7 @@ from functools import partial
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
@@ -58,7 +59,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
 
     """
     del config  # nothing to set
-    motions, inliers, warnings = leave_out_half_turns(motions)
+    motions, inliers, findings = leave_out_half_turns(motions)
     start = solve_separable(motions).T_a_b
     angle = float(se3.rotation_angle(start[:3, :3]))
     turned = angle > _NEAR_HALF_TURN
@@ -67,14 +68,16 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     z, t, cost, iterations = _gauss_newton(S, _to_z(start[:3, :3] @ R_turn.T), start[:3, 3])
     T_a_b = se3.from_rotation_translation(_from_z(z) @ R_turn, t)
     if angle > _LARGE_ROTATION:
-        warnings = (
-            *warnings,
-            f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each other'
-            ', where its parameter grows and magnifies noise' + (
-                ' without bound; solved in turned coordinates' if turned else '')
-            + '; prefer dnl or dnlo')
+        findings = (
+            *findings,
+            Finding(
+                'zhuang-large-rotation',
+                f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each '
+                'other, where its parameter grows and magnifies noise' + (
+                    ' without bound; solved in turned coordinates' if turned else '')
+                + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
     return Solution(T_a_b, cost, iterations, inliers=inliers,
-                    linearise=partial(linearise, R_turn), warnings=warnings)
+                    linearise=partial(linearise, R_turn), findings=findings)
 
 
 def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:

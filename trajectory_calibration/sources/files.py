@@ -27,6 +27,7 @@ import re
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
 from trajectory_calibration.errors import ConfigError, SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
@@ -134,7 +135,7 @@ class FileSource:
                 'without a rotation, w comes first here: TUM files have x y z w')
         return Trajectory.from_quaternions(
             rows.stamps_ns[keep], rows.values[keep, 1:4], quaternions[keep],
-            self.world_frame, self.sensor_frame, self._warnings(notes))
+            self.world_frame, self.sensor_frame, self._findings(notes))
 
     def _kitti(self, table: _Table, times: _Table) -> Trajectory:
         rows = table.parse(_COLUMNS['kitti'], None)
@@ -155,7 +156,7 @@ class FileSource:
         T[:, 3, 3] = 1.0
         return Trajectory(
             stamps.stamps_ns[:used][~lost], T[~lost], self.world_frame, self.sensor_frame,
-            self._warnings(notes))
+            self._findings(notes))
 
     def _require_two(self, keep: NDArray[np.bool_], notes: list[str]) -> None:
         count = int(np.count_nonzero(keep))
@@ -165,8 +166,9 @@ class FileSource:
                 f'{self.path}: {count} of {len(keep)} rows give a pose, needed at least 2'
                 f'{because}; record while the sensor moves and its SLAM tracks')
 
-    def _warnings(self, notes: list[str]) -> tuple[str, ...]:
-        return tuple(f'{self.sensor_frame}: {self.path}: {note}' for note in notes)
+    def _findings(self, notes: list[str]) -> tuple[Finding, ...]:
+        return tuple(Finding('input-repaired', f'{self.sensor_frame}: {self.path}: {note}')
+                     for note in notes)
 
 
 def is_bag(path: Path) -> bool:

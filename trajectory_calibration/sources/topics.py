@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, Trajectory
 from trajectory_calibration.errors import SourceError, TrajectoryError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -84,7 +85,8 @@ class TopicTrack:
         try:
             return Trajectory.from_quaternions(
                 stamps_ns[keep], self.poses[keep, :3], self.poses[keep, 3:], world, sensor,
-                tuple(f'{sensor}: {self.topic}: {note}' for note in notes))
+                tuple(Finding('input-repaired', f'{sensor}: {self.topic}: {note}')
+                      for note in notes))
         except TrajectoryError as error:
             raise SourceError(f'{self.topic}: {error}') from error
 

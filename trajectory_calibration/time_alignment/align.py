@@ -30,7 +30,7 @@ def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Cloc
         if not doubts:
             raise
         # The question first: an offset or a longer gap would only hide a wrong unit.
-        raise AssociationError(f'{"; ".join(doubts)}; {error}') from error
+        raise AssociationError(f'{"; ".join(map(str, doubts))}; {error}') from error
 
 
 def match_at(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError
 from trajectory_calibration.time_alignment.clock_drift import find_clock_drift
@@ -91,6 +92,35 @@ class Clock:
     drift_std: float = 0.0
     uneven_s: float = 0.0
     rivals_s: tuple[float, ...] = ()
+
+    def findings(self, given_s: float, frame_b: str, duration_b_s: float) -> tuple[Finding, ...]:
+        """Say what was found of the clocks; ``given_s`` is the offset of the settings."""
+        found = []
+        if self.offset_s != given_s:
+            offset_s = self.offset_s - given_s
+            found.append(Finding(
+                'clock-offset', f'clock offset {1e3 * offset_s:+.1f} ms found from the rotation '
+                f'of both sensors and added to the stamps of {frame_b}', {'offset_s': offset_s}))
+        if self.rivals_s:
+            others = ', '.join(f'{seconds:+.3f} s' for seconds in self.rivals_s[:3])
+            fits = 'fits' if len(self.rivals_s) == 1 else 'fit'
+            found.append(Finding(
+                'clock-ambiguous', f'Clock offset ambiguous: {others} {fits} as well, with '
+                'another extrinsic. Record irregular motion, or fix time_offset with '
+                'time_offset_mode fixed', {'others_s': list(self.rivals_s)}))
+        if self.drift:
+            apart_ms = abs(1e3 * self.drift * duration_b_s)
+            found.append(Finding(
+                'clock-drift', f'the clock of {frame_b} runs '
+                f'{"slow" if self.drift > 0 else "fast"} by {abs(1e6 * self.drift):.1f} ppm '
+                f'(+- {1e6 * self.drift_std:.1f} ppm), '
+                f'{apart_ms:.1f} ms over the drive: corrected', {'drift_ppm': 1e6 * self.drift}))
+        if self.uneven_s:
+            found.append(Finding(
+                'clock-uneven', f'the clock of {frame_b} deviates from a constant drift by up to '
+                f'{1e3 * self.uneven_s:.1f} ms. If it was stepped, calibrate the parts separately',
+                {'deviation_s': self.uneven_s}))
+        return tuple(found)
 
 
 def synchronise(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import (
     AssociationSummary,
     METHODS,
@@ -27,6 +28,9 @@ COINCIDENCE_NS = 1_000_000
 _NEAR_NS = 10_000_000
 _SHORT_GAP_NS = 150_000_000
 _NEAR_SHARE = 0.5
+
+# Beyond this share of poses without a partner, the result says so: too much was not used.
+UNPAIRED_SHARE = 0.1
 
 # 'auto' interpolates the other one where the steps of a are this many times those of b: chords
 # between sparse poses are shorter than the way, which would pass for an error of scale.
@@ -238,3 +242,29 @@ def _summarise(
         median_difference_s=float(np.median(difference)) * 1e-9 if len(paired) else 0.0,
         max_difference_s=float(difference.max(initial=0)) * 1e-9,
     )
+
+
+def association_findings(
+    summary: AssociationSummary, a: Trajectory, b: Trajectory,
+) -> tuple[Finding, ...]:
+    """Name what the association left unused, where it is much, and sensors that are one."""
+    found = []
+    one, other = (b, a) if summary.stamps_of == 'b' else (a, b)
+    for code, count, where in (
+            ('association-gaps', summary.in_gaps, f'fall in gaps of {other.sensor_frame}'),
+            ('association-outside', summary.outside,
+             f'lie outside the time of {other.sensor_frame}')):
+        share = count / len(one)
+        if share > UNPAIRED_SHARE:
+            found.append(Finding(
+                code, f'{share:.0%} of the poses of {one.sensor_frame} {where}: unused',
+                {'share': share}))
+    if np.array_equal(a.poses, b.poses):
+        found.append(Finding(
+            'poses-identical', f'{a.sensor_frame} and {b.sensor_frame} report identical poses: '
+            'the answer is the pose of a sensor in itself. Check that two sensors were given'))
+    if a.sensor_frame == b.sensor_frame:
+        found.append(Finding(
+            'frames-equal', f'both sensors are named {a.sensor_frame}: name their frames before '
+            'publishing the transform'))
+    return tuple(found)

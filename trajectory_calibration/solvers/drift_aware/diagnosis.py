@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.model import columns_of, TERM_COLUMNS
@@ -114,32 +115,40 @@ def _jumps(fit: Fit, stamps_ns: NDArray[np.int64]) -> tuple[Jump, ...]:
         Jump(int(stamps_ns[k[i] + 1]), float(size[i, 0]), float(size[i, 1])) for i in order)
 
 
-def warnings_of(diagnosis: Diagnosis) -> tuple[str, ...]:
+def findings_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Put into sentences what a person should know of the data."""
     found = []
     off = diagnosis.scale - 1
     known = ('' if diagnosis.scale_deviation is None
              else f' (+- {diagnosis.scale_deviation / diagnosis.scale:.2%})')
     if abs(off) > _ANOTHER_UNIT:
-        found.append('b is in another unit of length: its positions were multiplied by '
-                     f'{diagnosis.scale:.6g}{known}')
+        found.append(Finding(
+            'scale-unit', 'b is in another unit of length: its positions were multiplied by '
+            f'{diagnosis.scale:.6g}{known}', {'scale': diagnosis.scale}))
     elif known:
-        found.append(f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
-                     'b was corrected')
+        found.append(Finding(
+            'scale', f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
+            'b was corrected', {'scale': diagnosis.scale}))
     if diagnosis.time_offset_deviation_s is not None:
         deviation = 1e3 * diagnosis.time_offset_deviation_s
         # A long drive tells microseconds: no deviation of +- 0.0.
         digits = 1 if deviation >= 0.1 else 4
-        found.append(f'clock offset {1e3 * diagnosis.time_offset_s:+.{digits}f} ms'
-                     f' (+- {deviation:.{digits}f} ms) added to the stamps of b')
+        found.append(Finding(
+            'clock-offset', f'clock offset {1e3 * diagnosis.time_offset_s:+.{digits}f} ms'
+            f' (+- {deviation:.{digits}f} ms) added to the stamps of b',
+            {'offset_s': diagnosis.time_offset_s}))
     if diagnosis.systematic_drift_deviation is not None:
         x, y, z = (f'{value:+.2%}' for value in diagnosis.systematic_drift)
-        found.append(
-            f'b drifts steadily, by {x}, {y}, {z} of the way along its x, y, z: corrected')
+        found.append(Finding(
+            'systematic-drift', f'b drifts by {x}, {y}, {z} of the distance along its x, y, z: '
+            'corrected', {'drift_per_metre': list(diagnosis.systematic_drift)}))
     if diagnosis.jumps:
         named = ', '.join(
             f'{jump.translation_m:.2g} m and {np.rad2deg(jump.rotation_rad):.2g} deg at '
             f'{jump.stamp_ns * 1e-9:.3f} s' for jump in diagnosis.jumps[:_NAMED_JUMPS])
-        found.append(f'{len(diagnosis.jumps)} steps do not fit the noise of the others and were '
-                     f'set aside, the largest: {named}')
+        found.append(Finding(
+            'pose-jumps', f'{len(diagnosis.jumps)} pose jumps excluded (relocalisation or loop '
+            f'closure?). Largest: {named}', {
+                'jumps': len(diagnosis.jumps),
+                'largest_m': max(jump.translation_m for jump in diagnosis.jumps)}))
     return tuple(found)

@@ -40,6 +40,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtr
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.model import (
@@ -94,7 +95,7 @@ class LagCheck:
         return 1.0 + (self.statistic / 6 - 1.0) * float(
             np.clip((self.statistic - _DOUBTFUL) / (SIGNIFICANT - _DOUBTFUL), 0.0, 1.0))
 
-    def warnings(self, T_a_b: FloatArray) -> tuple[str, ...]:
+    def findings(self, T_a_b: FloatArray) -> tuple[Finding, ...]:
         """Return a sentence where the lags disagree: what stands out most, along the axes of a."""
         if self.statistic < SIGNIFICANT:
             return ()
@@ -105,11 +106,13 @@ class LagCheck:
         k = int(ratio.argmax())
         found = (f'move b by {difference[k]:+.2g} m along' if k < 3 else
                  f'turn b by {np.rad2deg(difference[k]):+.2g} deg about')
-        sentence = (
+        sentence = Finding(
+            'scales-disagree',
             f'short and long motions disagree: those over {self.lag} poses alone would {found} '
             f'{"xyz"[k % 3]} of a, {ratio[k]:.1f} times what the identified noise makes likely; '
             'it is neither white nor a walk, so the stated deviations were enlarged, to at least '
-            f'{np.sqrt(self.excess):.1f} times what it explains')
+            f'{np.sqrt(self.excess):.1f} times what it explains',
+            {'lag_poses': self.lag, 'sigmas': float(ratio[k])})
         return (sentence,)
 
 
@@ -168,17 +171,18 @@ class WalkCheck:
         return (self.walk_share > _WALK_SHARE and self.probability < _TOO_SMALL
                 and self.ratio < _LARGEST_RATIO)
 
-    def warnings(self) -> tuple[str, ...]:
+    def findings(self) -> tuple[Finding, ...]:
         """Return a sentence where the errors are bounded."""
         if not self.is_bounded:
             return ()
         degrees = np.rad2deg(self.disagreement)
-        sentence = (
+        sentence = Finding(
+            'errors-bounded',
             'the errors of the two do not add up as a walk would: over a quarter of the drive '
             f'their rotations part by {degrees:.2g} deg instead of '
             f'{degrees / np.sqrt(self.ratio):.2g}; they are bounded and go on for seconds, as of '
             'GNSS/INS or of a SLAM with loop closures, and the stated deviations may be several '
-            'times too small: compare the answers of several drives')
+            'times too small: compare the answers of several drives', {'ratio': self.ratio})
         return (sentence,)
 
 

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError, SolverError
@@ -24,7 +25,7 @@ from trajectory_calibration.solvers.drift_aware.covariance import (
     in_parent_axes,
     parameter_covariance,
 )
-from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, warnings_of
+from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findings_of
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.initial_scale import unit_of_b
 from trajectory_calibration.solvers.drift_aware.model import TERM_COLUMNS
@@ -88,8 +89,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         cost=fit.evaluation.objective,
         iterations=fit.iterations,
         covariance=in_parent_axes(of_extrinsic, fit.state.T_a_b),
-        warnings=(
-            *warnings_of(diagnosis), *fit.lags.warnings(fit.state.T_a_b), *_bounded(fit),
+        findings=(
+            *findings_of(diagnosis), *fit.lags.findings(fit.state.T_a_b), *_bounded(fit),
             *_unsettled(fit)),
         scale=unit * fit.state.scale,
         time_offset_s=fit.state.time_offset,
@@ -130,20 +131,22 @@ def _unit(pairs: PosePairs) -> float:
     return unit * estimate(pairs.scaled(unit), {**rest, 'scale': 'estimate'}).state.scale
 
 
-def _bounded(fit: Fit) -> tuple[str, ...]:
+def _bounded(fit: Fit) -> tuple[Finding, ...]:
     """Return a warning where the walk that was identified does not accumulate."""
     check = check_walk(fit.chain, fit.state, fit.noise)
-    return () if check is None else check.warnings()
+    return () if check is None else check.findings()
 
 
-def _unsettled(fit: Fit) -> tuple[str, ...]:
+def _unsettled(fit: Fit) -> tuple[Finding, ...]:
     """Return a warning where the final fit ended at its limit of iterations."""
     if fit.converged:
         return ()
     step = np.abs(fit.evaluation.parameter_step) / np.sqrt(np.diag(fit.evaluation.covariance))
-    warning = (
+    warning = Finding(
+        'not-converged',
         f'drift_aware: stopped after {fit.iterations} iterations before it settled; its last '
-        f'step was {step.max():.2g} of the standard deviation: compare with dnlo or record longer')
+        f'step was {step.max():.2g} of the standard deviation: compare with dnlo or record longer',
+        {'iterations': fit.iterations})
     return (warning,)
 
 

@@ -1,0 +1,96 @@
+"""What a person or a program should know about the data and the answer, with stable codes.
+
+``Finding`` replaces a sentence that nobody could match on: the code is stable and documented
+(docs/findings.md, a test compares), the text is for people, the values are for programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+# How much a finding matters, worst first.
+LEVELS = ('serious', 'warning', 'note')
+
+# Code -> (level, meaning). Codes never change their meaning; a new meaning is a new code.
+CATALOGUE: dict[str, tuple[str, str]] = {
+    'association-gaps': ('warning', 'many poses of one sensor fall in gaps of the other'),
+    'association-outside': ('note', 'many poses of one sensor lie outside the time of the other'),
+    'clock-ambiguous': ('serious', 'another clock offset fits as well; the extrinsic differs'),
+    'clock-drift': ('note', 'one clock runs fast or slow; corrected'),
+    'clock-offset': ('note', 'a clock offset was found and added to the stamps of b'),
+    'clock-uneven': ('warning', 'one clock deviates from a constant drift'),
+    'direction-unobserved': ('serious', 'the motion does not determine this direction'),
+    'direction-weak': ('warning', 'this direction is determined, but badly'),
+    'drift-proven': ('warning', 'one trajectory drifts steadily against the other'),
+    'errors-bounded': ('warning', 'errors are correlated and bounded, as of GNSS/INS'),
+    'frames-equal': ('warning', 'both sensors have the same frame name'),
+    'half-turns': ('note', 'motions near half a turn were excluded, or kept as published'),
+    'input-repaired': ('note', 'the input was repaired, or part of it was dropped'),
+    'length-unit': ('warning', 'positions move far too fast: another unit of length?'),
+    'minimum-not-proven': ('warning', 'the minimum is not proven to be the lowest'),
+    'not-converged': ('warning', 'the solver stopped before it settled'),
+    'orientation-jumps': ('warning', 'the sensors turned apart within single steps'),
+    'other': ('warning', 'a finding of another version, or of a solver from another package'),
+    'pose-jumps': ('note', 'pose jumps were found and excluded'),
+    'poses-identical': ('serious', 'both sensors report the same poses'),
+    'prior-contradicts': ('serious', 'the prior is far from the answer of the motion'),
+    'scale': ('note', 'the two trajectories differ in scale; corrected'),
+    'scale-unit': ('note', 'b is in another unit of length; its scale was found'),
+    'scales-disagree': ('warning', 'short and long motions disagree; error bars enlarged'),
+    'systematic-drift': ('note', 'one trajectory drifts steadily; corrected'),
+    'time-unit': ('warning', 'steps are far too long: another unit of time?'),
+    'zhuang-large-rotation': ('note', 'zhuang is inaccurate at large rotations'),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was found.
+
+    Attributes
+    ----------
+    code : a key of ``CATALOGUE``: kebab case, stable.
+    text : one or two lines for a person: what, why it matters, what to do.
+    values : the numbers of the text for programs, units in the names: ``{'largest_m': 0.31}``.
+
+    """
+
+    code: str
+    text: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.code not in CATALOGUE:
+            raise KeyError(f'finding {self.code!r} is not in the catalogue of data/findings.py')
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def level(self) -> str:
+        """Return 'serious' (may make the answer wrong), 'warning' or 'note'."""
+        return CATALOGUE[self.code][0]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON or YAML."""
+        return {'code': self.code, 'level': self.level, 'text': self.text,
+                'values': dict(self.values)}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Finding:
+        """Rebuild from ``to_dict``; a code of another version becomes 'other'."""
+        code = str(data['code'])
+        return cls(code if code in CATALOGUE else 'other', str(data['text']),
+                   dict(data.get('values') or {}))
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings by level, in their own order within a level."""
+    return tuple(sorted(findings, key=lambda found: LEVELS.index(found.level)))
+
+
+def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
+    """Return the sentences alone."""
+    return tuple(found.text for found in findings)
