@@ -9,7 +9,15 @@ import io
 import os
 import sys
 
-from trajectory_calibration.cli import calibrate, export, fleet, inspect, replay, simulate
+from trajectory_calibration.cli import (
+    calibrate,
+    export,
+    fleet,
+    inspect,
+    replay,
+    simulate,
+    verify,
+)
 from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, pip_name
@@ -17,7 +25,7 @@ from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (calibrate, export, fleet, inspect, replay, simulate)
+_COMMANDS = (calibrate, export, fleet, inspect, replay, simulate, verify)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1

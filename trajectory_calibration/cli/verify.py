@@ -1,0 +1,61 @@
+"""``trajectory_calibration verify``: does a saved result hold on other data."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+import json
+from pathlib import Path
+
+from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
+from trajectory_calibration.cli.options import add_config_options, config_from_arguments
+from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.fleet.verification import verify
+from trajectory_calibration.result import CalibrationResult
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'verify', help='tell whether a saved result holds on other data',
+        usage='%(prog)s [options] RESULT A B',
+        description='Calibrate A and B without priors, and compare with a saved result. Exit '
+        'status: 0 holds, 3 cannot tell, 4 moved, 1 the data cannot be read.')
+    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
+    add_input_arguments(parser)
+    parser.add_argument(
+        '--format', choices=('text', 'json'), default='text', help='of the output')
+    add_config_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Verify and print the verdict."""
+    result = CalibrationResult.load(arguments.result)
+    # Files carry no frame names: those of the saved result are what a person means.
+    for name in 'ab':
+        if not arguments.bag and getattr(arguments, f'frame_{name}') is None:
+            setattr(arguments, f'frame_{name}', getattr(result, f'frame_{name}'))
+    config = _config(result.config, arguments)
+    a, b = load_pair(arguments)
+    with running_clock('verifying'):
+        found = verify(result, a, b, config)
+    if arguments.format == 'json':
+        print(json.dumps(found.to_dict()))
+        return found.exit_status
+    print(found.describe())
+    if resolution := found.describe_resolution():
+        print(f'a shift would have been noticed from: {resolution}')
+    for note in (*found.notes, *(found.result.warnings if found.result else ())):
+        print(f'note: {note}')
+    return found.exit_status
+
+
+def _config(saved: CalibrationConfig, arguments: argparse.Namespace) -> CalibrationConfig:
+    """Return the settings of the saved result, changed by what was given."""
+    if arguments.config is not None:
+        return config_from_arguments(arguments)
+    names = {option.name for option in CalibrationConfig.options()}
+    return replace(saved, **{
+        name: value for name, value in vars(arguments).items() if name in names})

@@ -1,0 +1,146 @@
+"""How far apart two answers are, in view of what each of them knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# In the order of a covariance, as sentences need them.
+AXES = ('along x', 'along y', 'along z', 'about x', 'about y', 'about z')
+
+# Standard deviations below these are a prior that fixes a component: metres, radians.
+_LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
+
+# Where a rotation is open, the other axes turn with what it happens to be.
+_GAUGE_STEPS = 10
+
+# Share of shifts that are to be noticed where a resolution is stated: 95 %, normal quantile.
+_POWER = 1.645
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """The step from one extrinsic to another, tested against the covariance of both.
+
+    Attributes
+    ----------
+    step : (6,) metres and radians along and about the axes of a, as ``geometry.se3.moved``
+        takes it; directions that are open in either are left out of it.
+    std : (6,) its standard deviations, metres and radians.
+    chi_squared, degrees_of_freedom : of all directions that both know.
+    testable : (6,) bool, the axes that both know; along the others nothing is known of a shift.
+    weak : (6,) bool, of those, the ones along which only a large shift is noticed.
+    resolution : (6,) metres and radians, the shift along each axis that is noticed in 95 % of
+        the cases.
+    differs : whether chance explains the step, at the probability that was given.
+    named : the axes that show it, the clearest first.
+
+    """
+
+    step: FloatArray
+    std: FloatArray
+    chi_squared: float
+    degrees_of_freedom: int
+    testable: NDArray[np.bool_]
+    weak: NDArray[np.bool_]
+    resolution: FloatArray
+    differs: bool
+    named: tuple[int, ...]
+
+    @property
+    def sigma(self) -> float:
+        """Return the largest step in standard deviations."""
+        return float(np.max(np.abs(self.step) / self.std))
+
+    @property
+    def probability(self) -> float:
+        """Return the probability that chance alone makes a step of this chi-squared."""
+        return exceedance(self.chi_squared, self.degrees_of_freedom)
+
+    def describe(self) -> str:
+        """Return the step in words: '0.078 m along x, 1.47 deg about z (12 sigma)'."""
+        return f'{describe_step(self.step, self.named)} ({self.sigma:.0f} sigma)'
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data with the unit in each name."""
+        return {
+            'step_m': self.step[:3].tolist(),
+            'step_deg': np.rad2deg(self.step[3:]).tolist(),
+            'std_m': self.std[:3].tolist(),
+            'std_deg': np.rad2deg(self.std[3:]).tolist(),
+            'chi_squared': self.chi_squared,
+            'degrees_of_freedom': self.degrees_of_freedom,
+            'probability': self.probability,
+            'sigma': self.sigma,
+            'axes': [AXES[k] for k in self.named],
+        }
+
+
+def difference(
+    start: tuple[FloatArray, FloatArray],
+    end: tuple[FloatArray, FloatArray],
+    config: CalibrationConfig,
+    probability: float = FALSE_ALARM,
+) -> Difference:
+    """Compare two answers.
+
+    Parameters
+    ----------
+    start, end : tuple
+        (4, 4) extrinsic and (6, 6) covariance of each; independent of one another.
+    config : CalibrationConfig
+        Its limits say what is open (``unobserved_*``) and what is weak (``weak_*``).
+    probability : float
+        Of calling equal extrinsics different.
+
+    """
+    (T_0, P_0), (T_1, P_1) = start, end
+    P = floored(P_0) + floored(P_1)
+    open_limit = np.array([config.unobserved_translation] * 3
+                          + [np.deg2rad(config.unobserved_rotation)] * 3)
+    weak_limit = np.array([config.weak_translation] * 3 + [np.deg2rad(config.weak_rotation)] * 3)
+    variances, vectors = np.linalg.eigh(P / np.outer(open_limit, open_limit))
+    known = variances <= 1.0
+    # Rows that are orthonormal in units of the limits.
+    open_, closed = vectors[:, ~known].T, vectors[:, known].T
+    step = se3.step_between(T_0, T_1)
+    for _ in range(_GAUGE_STEPS if len(open_) else 0):
+        free = open_limit * (open_.T @ (open_ @ (step / open_limit)))
+        if np.abs(free / open_limit).max() < 1e-9:
+            break
+        T_1 = se3.moved(T_1, -free)
+        step = se3.step_between(T_0, T_1)
+    whitened = (closed @ (step / open_limit)) / np.sqrt(variances[known])
+    chi_squared, dof = float(whitened @ whitened), int(known.sum())
+    std = np.sqrt(np.diagonal(P))
+    # Half of the false alarms go to all directions together, half to the single axes.
+    limit = np.sqrt(quantile(1, 0.5 * probability / 6))
+    testable = std <= open_limit
+    alone = testable & (np.abs(step) > limit * std)
+    differs = bool(alone.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
+    order = np.argsort(-np.abs(step) / std)
+    named = tuple(int(k) for k in order if alone[k]) or tuple(map(int, order[:1]))
+    return Difference(
+        step, std, chi_squared, max(dof, 1), testable, testable & (std > weak_limit),
+        (limit + _POWER) * std, differs, named)
+
+
+def floored(covariance: FloatArray) -> FloatArray:
+    """Return a (6, 6) covariance that has an inverse, also where a prior fixes a component."""
+    return covariance + np.diag(_LEAST**2)
+
+
+def describe_step(step: FloatArray, axes: Iterable[int] = range(6)) -> str:
+    """Return a (6,) step in words, translations first."""
+    return ', '.join(
+        f'{step[k]:+.3f} m {AXES[k]}' if k < 3 else f'{np.rad2deg(step[k]):+.2f} deg {AXES[k]}'
+        for k in sorted(axes))

@@ -1,0 +1,216 @@
+"""Whether a saved extrinsic holds on other data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.assessment.observability import (
+    DEGREES_OF_FREEDOM,
+    Observability,
+    UNOBSERVED,
+)
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import (
+    AssociationError,
+    CalibrationError,
+    MotionError,
+    ResultError,
+    SolverError,
+)
+from trajectory_calibration.fleet.differences import AXES, Difference, difference
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+
+HOLDS, CANNOT_TELL, MOVED = 'holds', 'cannot tell', 'moved'
+
+EXIT_STATUS = {HOLDS: 0, CANNOT_TELL: 3, MOVED: 4}
+
+# Of an axis: not known before, so that there is nothing to verify.
+NOT_KNOWN = 'not in the result'
+
+# Root mean square rotation of a motion below which a vehicle hardly turned, degrees.
+_HARDLY = 0.2
+
+# The turns about one axis move the sensor along it by less than this share of what they do
+# across: the vehicle turned about that axis only.
+_SINGLE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Whether a saved extrinsic holds on other data.
+
+    Attributes
+    ----------
+    verdict : 'holds', 'cannot tell' or 'moved'.
+    status : of each degree of freedom: one of these, or 'not in the result' where the saved
+        result does not know it.
+    difference : the step from the saved extrinsic to that of the new data; None without answer.
+    needs : what a drive needs for a verdict; empty where there is one.
+    result : of the new data alone, without priors; None where they give no answer.
+    notes : sentences about the comparison.
+
+    """
+
+    verdict: str
+    status: dict[str, str]
+    difference: Difference | None
+    needs: str
+    result: CalibrationResult | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """Return 0 for holds, 3 for cannot tell, 4 for moved."""
+        return EXIT_STATUS[self.verdict]
+
+    def describe(self) -> str:
+        """Return the verdict in one sentence."""
+        found = self.difference
+        if self.verdict == MOVED and found is not None:
+            return f'moved by {found.describe()}'
+        if self.verdict == CANNOT_TELL:
+            open_ = [name for name, status in self.status.items() if status == CANNOT_TELL]
+            held = [name for name, status in self.status.items() if status == HOLDS]
+            rest = f'; {", ".join(held)} hold' if held else ''
+            return f'cannot tell {", ".join(open_)} (needs: {self.needs}){rest}'
+        unknown = [name for name, status in self.status.items() if status == NOT_KNOWN]
+        rest = f'; not in the saved result: {", ".join(unknown)}' if unknown else ''
+        if found is not None:
+            weak = [k for k, name in enumerate(DEGREES_OF_FREEDOM)
+                    if found.weak[k] and self.status[name] == HOLDS]
+            if weak:
+                rest = f', weakly tested {", ".join(AXES[k] for k in weak)}{rest}'
+        return f'holds{rest}'
+
+    def describe_resolution(self) -> str:
+        """Return the smallest shift that would have been noticed, axis by axis."""
+        if self.difference is None:
+            return ''
+        words = []
+        for k, name in enumerate(DEGREES_OF_FREEDOM):
+            if self.difference.testable[k] and self.status[name] != NOT_KNOWN:
+                value = self.difference.resolution[k]
+                words.append(f'{value:.3f} m {AXES[k]}' if k < 3
+                             else f'{np.rad2deg(value):.2f} deg {AXES[k]}')
+        return ', '.join(words)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        found = self.difference
+        return {
+            'verdict': self.verdict,
+            'sentence': self.describe(),
+            'exit_status': self.exit_status,
+            'status': dict(self.status),
+            'needs': self.needs,
+            'difference': None if found is None else found.to_dict(),
+            'resolution': None if found is None else {
+                'm': found.resolution[:3].tolist(),
+                'deg': np.rad2deg(found.resolution[3:]).tolist()},
+            'notes': list(self.notes),
+            'result': None if self.result is None else self.result.to_dict(),
+        }
+
+
+def verify(
+    result: CalibrationResult,
+    trajectory_a: Trajectory,
+    trajectory_b: Trajectory,
+    config: CalibrationConfig | None = None,
+    *,
+    probability: float = FALSE_ALARM,
+) -> Verification:
+    """Calibrate other data of the same sensors, and compare.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        What was saved.
+    trajectory_a, trajectory_b : Trajectory
+        Of the same sensors, on another drive.
+    config : CalibrationConfig, optional
+        How to calibrate them; as ``result`` was, where omitted. Priors are left out: with them,
+        a component would confirm itself.
+    probability : float
+        Of calling an extrinsic moved that is not.
+
+    Returns
+    -------
+    Verification
+        Data that give no answer at all are a verdict, 'cannot tell', and no error.
+
+    Raises
+    ------
+    ResultError
+        The saved result has no covariance, or its frames are those of the data in exchange.
+
+    """
+    if result.covariance is None:
+        raise ResultError('the saved result has no covariance to compare with; calibrate again')
+    frames = trajectory_a.sensor_frame, trajectory_b.sensor_frame
+    if frames == (result.frame_b, result.frame_a) and frames[0] != frames[1]:
+        raise ResultError(f'the data are of {frames[0]} and {frames[1]}, the saved result of '
+                          f'{result.frame_a} and {result.frame_b}; exchange A and B')
+    notes = [] if frames == (result.frame_a, result.frame_b) else [
+        f'data of {" and ".join(frames)}, saved result of {result.frame_a} and {result.frame_b}']
+    config = replace(
+        config or result.config, prior_translation='', prior_translation_std='',
+        prior_rotation='', prior_rotation_std='', allow_unobserved=True)
+    try:
+        found = calibrate(trajectory_a, trajectory_b, config)
+    except (AssociationError, MotionError, SolverError) as error:
+        return _without_answer(result, error, notes)
+    if found.covariance is None:
+        return _without_answer(result, ResultError('the solver gave no covariance'), notes)
+    step = difference((result.T_a_b, result.covariance), (found.T_a_b, found.covariance),
+                      config, probability)
+    status = {}
+    for k, name in enumerate(DEGREES_OF_FREEDOM):
+        if step.differs and k in step.named:
+            status[name] = MOVED
+        elif result.observability.status[name] == UNOBSERVED:
+            status[name] = NOT_KNOWN
+        else:
+            status[name] = HOLDS if step.testable[k] else CANNOT_TELL
+    verdict = (MOVED if step.differs
+               # Where the saved result knows nothing, nothing holds.
+               else HOLDS if {*status.values()} <= {HOLDS, NOT_KNOWN} and HOLDS in status.values()
+               else CANNOT_TELL)
+    if verdict == MOVED and _is_exchanged(result, found, config):
+        notes.append('the new answer is the inverse of the saved one: exchange A and B')
+    needs = '' if verdict != CANNOT_TELL else _needs(found.observability)
+    return Verification(verdict, status, step, needs, found, tuple(notes))
+
+
+def _is_exchanged(
+    saved: CalibrationResult, found: CalibrationResult, config: CalibrationConfig,
+) -> bool:
+    if found.covariance is None or saved.covariance is None:
+        return False
+    return not difference((se3.inverse(saved.T_a_b), saved.covariance),
+                          (found.T_a_b, found.covariance), config).differs
+
+
+def _without_answer(
+    result: CalibrationResult, error: CalibrationError, notes: list[str],
+) -> Verification:
+    status = {name: NOT_KNOWN if known == UNOBSERVED else CANNOT_TELL
+              for name, known in result.observability.status.items()}
+    return Verification(CANNOT_TELL, status, None, str(error), None, tuple(notes))
+
+
+def _needs(observability: Observability) -> str:
+    """Return what the motion lacked."""
+    gain = observability.translation_gain
+    if np.linalg.norm(observability.excitation_deg) < _HARDLY:
+        return 'curves, and a ramp or a bank: the vehicle hardly turned'
+    if gain[0] < _SINGLE * gain[1]:
+        return 'turns about another axis, as on a ramp or a bank'
+    return 'a longer drive, or sharper turns'
