@@ -19,6 +19,7 @@ from trajectory_calibration import (
     TrajectoryError,
 )
 from trajectory_calibration.config.settings import Option
+from trajectory_calibration.data.findings import Finding
 
 
 @pytest.fixture(scope='module')
@@ -154,7 +155,7 @@ def test_json_has_the_promised_keys(result):
     promised = {
         'frame_a', 'frame_b', 'solver', 'reference', 'T_a_b', 'covariance', 'poses', 'motions',
         'e_rt_m', 'e_rR_deg', 'e_at_m', 'e_aR_deg', 'scale', 'time_offset_s', 'observability',
-        'warnings'}
+        'findings', 'warnings'}
     assert promised <= set(data)
     assert data['frame_a'] == 'lidar'
     assert data['frame_b'] == 'camera'
@@ -265,7 +266,7 @@ def test_other_files_are_not_results(tmp_path, text, message):
         0, 0, 0, 1]}), ('config', {'solver': 'x'}), ('config', ''), ('inlier_motions', 'a-b'),
     ('poses', 'many'), ('poses', float('inf')), ('poses', True), ('motions', 10**15),
     ('motions', float('inf')),
-    ('motions', -1), ('warnings', 'abc'), ('warnings', [5]), ('diagnosis', 5),
+    ('motions', -1), ('findings', 'abc'), ('findings', [5]), ('diagnosis', 5),
     ('optimality_gap', 'x'), ('scale', float('nan')), ('scale', 10**400), ('scale', '1'),
     ('time_offset_s', float('inf')), ('e_rt_m', 'nan'), ('reference_choice', 5),
     ('association', {}), ('association', 'abc'), ('observability', [])])
@@ -340,16 +341,16 @@ def test_a_path_that_is_no_file_name_is_refused(result, path):
 
 
 def test_warnings_of_the_motion_survive_and_older_files_are_read_without(result, tmp_path):
-    seen = dataclasses.replace(result.observability, warnings=('translation along z: weak',))
-    dataclasses.replace(result, observability=seen).save(tmp_path / 'r.yaml')
+    weak = Finding('direction-weak', 'translation along z: weak', {'std_m': 0.1})
+    seen = dataclasses.replace(result.observability, findings=(weak,))
+    dataclasses.replace(result, observability=seen, findings=(weak,)).save(tmp_path / 'r.yaml')
     again = CalibrationResult.load(tmp_path / 'r.yaml')
-    assert again.observability.warnings == ('translation along z: weak',)
+    assert again.observability.findings == again.findings == (weak,)
     older = again.to_dict()
-    del older['observability']['warnings']
-    assert CalibrationResult.from_dict(older).observability.warnings == ()
-    older['observability']['warnings'] = 'abc'
-    with pytest.raises(ResultError, match="found 'abc', needed a list"):
-        CalibrationResult.from_dict(older)
+    del older['observability']['warnings'], older['findings']
+    older['format_version'] = 1
+    assert CalibrationResult.from_dict(older).warnings == (weak.text,)
+    assert CalibrationResult.from_dict(older).observability.findings == ()
 
 
 def test_missing_file(tmp_path):

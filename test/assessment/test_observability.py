@@ -151,7 +151,7 @@ def test_limits_are_settings():
     assert loose.observability.weak == ()
     weak, _ = calibrated(scenario, 1, solver='dnl', weak_rotation=1e-6)
     assert {'rotation x', 'rotation y', 'rotation z'} <= set(weak.observability.weak)
-    assert any('weak, standard deviation' in warning for warning in weak.warnings)
+    assert any(finding.code == 'direction-weak' for finding in weak.findings)
 
 
 def test_a_covariance_that_is_not_finite_counts_as_unobserved():

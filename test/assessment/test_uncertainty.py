@@ -135,9 +135,9 @@ def test_a_constant_drift_is_found_and_counted():
     found = estimate_uncertainty(solution, motions)
     # What b has too much of: its own z, for this seed.
     np.testing.assert_allclose(truth[:3, :3].T @ found.drift, [0.0, 0.0, 0.01], atol=0.001)
-    (warning,) = found.warnings('lidar', 'camera')
+    (warning,) = found.findings('lidar', 'camera')
     x, y, z = (f'{100 * value:.2g}' for value in found.drift)
-    assert f'camera drifts against lidar by ({x}, {y}, {z}) percent of the way' in warning
+    assert f'camera drifts against lidar by ({x}, {y}, {z}) % of the distance' in warning.text
     error = error_of(solution.T_a_b, truth)
     assert (np.abs(error) < 3 * np.sqrt(np.diagonal(found.covariance))).all()
 

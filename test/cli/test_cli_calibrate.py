@@ -120,7 +120,8 @@ def test_text_fits_a_terminal_and_zero_has_no_sign(files, tmp_path, capsys):
     data['T_a_b'] = {'translation': [-1e-7, 0.0, -12.5], 'rotation_xyzw': [-1e-9, 0, 0, 1]}
     data['time_offset_s'] = -1e-9
     data['reference_choice'] = 'B5: predicted 4.2 cm; ' + 'B12 5.1 cm, ' * 10
-    data['warnings'] = ['the lidar saw ' + 'little of what there was, ' * 8, f'{"x" * 99} is long']
+    data['findings'] = [{'code': 'other', 'text': text} for text in (
+        'the lidar saw ' + 'little of what there was, ' * 8, f'{"x" * 99} is long')]
     for status in data['observability']['status']:
         data['observability']['status'][status] = 'unobserved'
     lines = format_result(CalibrationResult.from_dict(data)).splitlines()

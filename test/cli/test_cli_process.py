@@ -110,7 +110,7 @@ def test_a_path_that_the_system_refuses_is_one_line(capsys):
 
 
 @pytest.mark.parametrize('command', [
-    'calibrate {a} {b} --solver park --frame-a ä', 'benchmark paper --help', '--help'])
+    'calibrate {a} {b} --solver park --frame-a ä', 'fleet --help', '--help'])
 def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):
     a, b, _ = write_pair(tmp_path)
     done = _shell(f'$CLI {command.format(a=a, b=b)}', PYTHONIOENCODING='ascii')

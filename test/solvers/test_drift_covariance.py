@@ -251,7 +251,7 @@ def test_white_noise_and_rounding_are_no_walk_that_is_bounded():
         fit = estimate(pairs, FIXED)
         check = consistency.check_walk(fit.chain, fit.state, fit.noise)
         assert check.walk_share < 0.1
-        assert check.warnings() == ()
+        assert check.findings() == ()
     short = estimate(simulated(7, poses=30, walk=(0.01, 0.002))[0], FIXED)
     assert consistency.check_walk(short.chain, short.state, short.noise) is None
 
@@ -388,12 +388,12 @@ def test_the_axes_of_a_warning_are_those_of_a():
     turn = se3.from_rotation_translation(se3.exp_so3([0.0, 0.0, np.pi / 2]), np.zeros(3))
     variances = np.diag([1e-4, 1.0, 1.0, 1.0, 1.0, 1e-6])
     along_x = consistency.LagCheck(5, np.array([0.1, 0, 0, 0, 0, 0]), variances, 60.0)
-    (warning,) = along_x.warnings(turn)
-    assert 'over 5 poses alone would move b by +0.1 m along y of a, 10.0 times' in warning
+    (warning,) = along_x.findings(turn)
+    assert 'over 5 poses alone would move b by +0.1 m along y of a, 10.0 times' in warning.text
     turn[:3, :3] = se3.exp_so3([0.0, np.pi / 2, 0.0])
     about_z = consistency.LagCheck(2, np.array([0, 0, 0, 0, 0, -0.02]), variances, 60.0)
-    (warning,) = about_z.warnings(turn)
-    assert 'would turn b by -1.1 deg about x of a, 20.0 times' in warning
+    (warning,) = about_z.findings(turn)
+    assert 'would turn b by -1.1 deg about x of a, 20.0 times' in warning.text
 
 
 @pytest.mark.parametrize('seed', [105, 106])

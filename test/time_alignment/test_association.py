@@ -183,7 +183,7 @@ def test_poses_of_the_sparser_without_a_partner_are_a_warning():
     b = Trajectory(t_b, helix(t_b, random_pose(np.random.default_rng(1))), sensor_frame='camera')
     result = calibrate(a, b, CalibrationConfig(solver='dnl', reference='B1',
                                                time_offset_mode='fixed', allow_unobserved=True))
-    assert '25% of the poses of receiver lie outside the time of camera' in result.warnings
+    assert '25% of the poses of receiver lie outside the time of camera: unused' in result.warnings
 
 
 @pytest.mark.parametrize('rates', [(3.0, 10.0), (10.0, 3.0), (2.0, 30.0)])
@@ -229,7 +229,7 @@ def test_gaps_are_a_warning_in_the_result():
     holed = perturb(rng, Trajectory(a.stamps_ns[keep], a.poses[keep], 'm', 'lidar'), 0, 0)
     result = calibrate(holed, b, CalibrationConfig(solver='dnl'))
     assert result.association.in_gaps == 20
-    assert '20% of the poses of camera fall in gaps of lidar' in result.warnings
+    assert '20% of the poses of camera fall in gaps of lidar: unused' in result.warnings
 
 
 def test_an_unknown_method_is_refused():
