@@ -292,9 +292,9 @@ def test_a_prior_that_contradicts_the_motion_is_said():
     a, b = sensor_pair(rng, X)
     a, b = perturb(rng, a, 1e-3, 1e-3), perturb(rng, b, 1e-3, 1e-3)
     for off, expected in ((0.0, 0), (0.5, 1)):
-        warnings = calibrate(a, b, CalibrationConfig(
+        found = calibrate(a, b, CalibrationConfig(
             solver='dnl', prior_translation=f'-,-,{X[2, 3] + off}',
-            prior_translation_std='0.01')).warnings
-        said = [warning for warning in warnings if 'one of them is wrong' in warning]
+            prior_translation_std='0.01')).findings
+        said = [finding for finding in found if finding.code == 'prior-contradicts']
         assert len(said) == expected
     assert said[0].startswith('the prior of the translation z is 0.5')
