@@ -1,7 +1,6 @@
 """A running node and a client of it, over real DDS, isolated from everything else.
 
-A test module begins with ``ros = pytest.importorskip('ros_helpers', reason=...)``, which skips
-it where ROS is missing.
+Test modules import it through ``ros_if_any``, which does without ROS, too.
 """
 
 from contextlib import contextmanager
@@ -39,9 +38,27 @@ from visualization_msgs.msg import MarkerArray
 from trajectory_calibration.geometry import se3
 
 __all__ = [
-    'Client', 'Clock', 'DescribeParameters', 'DiagnosticArray', 'Future', 'GetParameters',
-    'ListParameters', 'MarkerArray', 'NodeProcess', 'Parameter', 'SetParameters', 'connected',
-    'drive', 'matrix', 'parameter_value_to_python', 'running', 'serialize_message', 'to_message',
+    'Client',
+    'Clock',
+    'DescribeParameters',
+    'DiagnosticArray',
+    'DurabilityPolicy',
+    'Future',
+    'GetParameters',
+    'ListParameters',
+    'MarkerArray',
+    'NodeProcess',
+    'Parameter',
+    'QoSProfile',
+    'ReliabilityPolicy',
+    'SetParameters',
+    'connected',
+    'drive',
+    'matrix',
+    'parameter_value_to_python',
+    'running',
+    'serialize_message',
+    'to_message',
     'to_path',
 ]
 
@@ -110,10 +127,11 @@ def to_path(stamps_ns, poses, frame='map'):
 class NodeProcess:
     """``calibration_node`` in a process of its own; its log goes to a file."""
 
-    def __init__(self, folder, domain, namespace, arguments=()):
+    def __init__(self, folder, domain, namespace, arguments=(), environment=None):
         self.log_path = folder / f'node_{next(_numbers)}.log'
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(folder),
-                       'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'OMP_NUM_THREADS': '1'}
+        environment = {**os.environ, **(environment or {}), 'ROS_DOMAIN_ID': str(domain),
+                       'ROS_LOG_DIR': str(folder), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+                       'OMP_NUM_THREADS': '1'}
         with self.log_path.open('wb') as log:
             self.process = subprocess.Popen(
                 [sys.executable, '-m', 'trajectory_calibration.ros.executable', '--ros-args',
@@ -159,6 +177,12 @@ class Client:
         while not condition():
             if time.monotonic() > deadline:
                 raise TimeoutError(f'waited {LIMIT_S:g} s for {what}')
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def spin(self, seconds):
+        """Receive for that long."""
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.05)
 
     def publisher(self, topic, type_name='Odometry', qos=RELIABLE):
@@ -219,13 +243,15 @@ class Client:
             parameters=[Parameter(name, value=value).to_parameter_msg()])
         return self.call('set_parameters', SetParameters, request).results[0]
 
-    def latched(self, topic='trajectory_calibration/extrinsic', kind=TransformStamped):
+    def latched(
+        self, topic='trajectory_calibration/extrinsic', kind=TransformStamped, qos=LATCHED,
+    ):
         """Return a list that receives the messages of a latched topic."""
         messages = []
 
         def receive(message):
             messages.append(message)
-        self.node.create_subscription(kind, topic, receive, LATCHED)
+        self.node.create_subscription(kind, topic, receive, qos)
         return messages
 
     def _on_diagnostics(self, message):
@@ -253,10 +279,11 @@ def connected(namespace=None, domain=None):
 
 
 @contextmanager
-def running(folder, *arguments, namespace=None, domain=None):
+def running(folder, *arguments, namespace=None, domain=None, environment=None):
     """Yield a node in its own process and a client of it, as ``connected``."""
     with connected(namespace, domain) as client:
-        node = NodeProcess(folder, client.domain, client.namespace, arguments)
+        node = NodeProcess(
+            folder, client.domain, client.namespace, arguments, environment)
         try:
             yield node, client
         finally:

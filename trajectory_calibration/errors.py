@@ -6,6 +6,9 @@ command line can print it as it is and the node can answer a service call with i
 
 from __future__ import annotations
 
+from importlib import import_module
+from types import ModuleType
+
 # First names of modules that several packages share; "pip install ruamel" installs nothing.
 _SHARED = {'ruamel': 'ruamel.yaml', 'backports': 'backports.zstd'}
 
@@ -44,6 +47,24 @@ class SolverError(CalibrationError):
 
 class ResultError(CalibrationError):
     """A saved result cannot be read or written."""
+
+
+class MissingPackageError(CalibrationError):
+    """An optional Python package is needed and not installed."""
+
+
+def require(module: str) -> ModuleType:
+    """Import an optional package; raise MissingPackageError, which says how to install it."""
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise missing_package(error) from error
+
+
+def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
+    """Return the named error for an import that found no package."""
+    package = pip_name(error)
+    return MissingPackageError(f'{package} is not installed; pip install {package}')
 
 
 def pip_name(error: ModuleNotFoundError) -> str:

@@ -91,9 +91,9 @@ def test_a_huge_position_does_not_spoil_the_calibrations_that_follow():
     rng = np.random.default_rng(4)
     a = se3.exp_se3(np.cumsum(rng.normal(size=(60, 6)) * 0.1, axis=0))
     T_a_b = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
-    session = CalibrationSession('/a', '/b', BufferLimits())
-    for buffer, poses, child in ((session.buffer_a, a, 'lidar'),
-                                 (session.buffer_b, a @ T_a_b, 'camera')):
+    session = CalibrationSession(('/a', '/b'), BufferLimits())
+    for buffer, poses, child in ((session.buffers[0], a, 'lidar'),
+                                 (session.buffers[1], a @ T_a_b, 'camera')):
         rows = np.column_stack([
             poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3])])
         for k, row in enumerate(rows.tolist()):
@@ -356,10 +356,10 @@ def test_headers_without_stamps_are_named():
 
 
 def test_a_failure_ends_with_what_was_refused():
-    session = CalibrationSession('/a', '/b', BufferLimits())
+    session = CalibrationSession(('/a', '/b'), BufferLimits())
     for buffer, start_s, frame, speed in (
-            (session.buffer_a, 1, 'lidar', 1.0), (session.buffer_b, 101, 'camera', 1.0),
-            (session.buffer_b, 1, 'camera', np.nan)):
+            (session.buffers[0], 1, 'lidar', 1.0), (session.buffers[1], 101, 'camera', 1.0),
+            (session.buffers[1], 1, 'camera', np.nan)):
         for k in range(20):
             buffer.append((start_s + k) * SECOND, ('map', frame), along_x(speed * k))
     job = session.job(CalibrationConfig())

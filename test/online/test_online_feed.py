@@ -1,22 +1,26 @@
 """Damaged messages: whatever bytes arrive, they are counted and nothing is raised."""
 
+from functools import lru_cache
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer, Refusal
 from trajectory_calibration.online.excitation import ExcitationMonitor
 from trajectory_calibration.online.feed import PoseFeed
 from trajectory_calibration.sources import cdr
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+pytestmark = needs_ros
 
 POSES = 8
 
 
-def _serialized():
+@lru_cache
+def good():
+    """Return serialized messages of each type, made where ROS is."""
     stamps_ns, poses, _ = ros.drive(poses=POSES, rate_hz=1.0)
     messages = {
         msgtype: [ros.serialize_message(ros.to_message(
@@ -24,9 +28,6 @@ def _serialized():
             for stamp, pose in zip(stamps_ns, poses, strict=True)]
         for msgtype in cdr.POSE_TYPES}
     return messages | {cdr.PATH: [ros.serialize_message(ros.to_path(stamps_ns, poses))]}
-
-
-GOOD = _serialized()
 
 
 def fed(msgtype, messages):
@@ -40,7 +41,7 @@ def fed(msgtype, messages):
 
 @pytest.mark.parametrize('msgtype', cdr.TRAJECTORY_TYPES)
 def test_every_truncated_message_is_counted(msgtype):
-    message = GOOD[msgtype][0]
+    message = good()[msgtype][0]
     # What is cut off the end may be no more than padding.
     lengths = [*range(64), *range(64, len(message) - 8, 7)]
     buffer = fed(msgtype, (message[:length] for length in lengths))
@@ -50,8 +51,9 @@ def test_every_truncated_message_is_counted(msgtype):
 
 @pytest.mark.parametrize('msgtype', cdr.TRAJECTORY_TYPES)
 def test_good_messages_go_on_after_a_bad_one(msgtype):
-    cut = [message[:50] for message in GOOD[msgtype]]
-    buffer = fed(msgtype, [item for pair in zip(cut, GOOD[msgtype], strict=True) for item in pair])
+    cut = [message[:50] for message in good()[msgtype]]
+    pairs = zip(cut, good()[msgtype], strict=True)
+    buffer = fed(msgtype, [item for pair in pairs for item in pair])
     assert len(buffer) == POSES
     assert buffer.refused[Refusal.UNREADABLE] == len(cut)
 
@@ -63,12 +65,12 @@ def test_good_messages_go_on_after_a_bad_one(msgtype):
     st.integers(0, 800))
 def test_flipped_and_truncated_bytes_raise_nothing(msgtype, flips, length):
     damaged = []
-    for message in GOOD[msgtype]:
+    for message in good()[msgtype]:
         data = bytearray(message)
         for place, value in flips:
             data[place % len(data)] = value
         damaged.append(bytes(data[:length]))
-    buffer = fed(msgtype, [*damaged, *GOOD[msgtype]])
+    buffer = fed(msgtype, [*damaged, *good()[msgtype]])
     assert buffer.messages == 2 * len(damaged)
     # What passed for a pose must not trip what is computed beside the receiving.
     buffer.refusals()

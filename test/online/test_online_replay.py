@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.cli.main import main
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
-rosbag2 = pytest.importorskip('rosbags.rosbag2', reason='rosbags is missing: pip install rosbags')
+pytestmark = needs_ros
 CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'calibration.yaml'
 
 
@@ -39,6 +38,7 @@ def noisy_drive(poses=150):
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory):
     """Return a bag with the messages, and the messages."""
+    rosbag2 = pytest.importorskip('rosbags.rosbag2', reason='rosbags is missing')
     typestores = pytest.importorskip('rosbags.typesys')
     store = typestores.get_typestore(typestores.Stores.ROS2_JAZZY)
     messages = noisy_drive()

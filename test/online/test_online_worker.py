@@ -170,7 +170,7 @@ class Endless:
 NODE = """
 import sys
 sys.path[:] = {path!r}
-from test_ros_worker import Endless, Waiting
+from test_online_worker import Endless, Waiting
 waiting = Waiting()
 waiting.solver.start(Endless(), 60.0)
 waiting.outcome()

@@ -1,15 +1,16 @@
 """The node in its own process, over real DDS."""
 
 import importlib.util
+import os
 import signal
 import subprocess
 import time
 
 import numpy as np
 import pytest
+from ros_if_any import needs_ros, ros
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+pytestmark = needs_ros
 
 # The fastest solver; the others run where it matters that they do.
 TAYLOR = ('-p', 'solver:=taylor')
@@ -54,6 +55,52 @@ def test_a_late_joiner_gets_the_latched_extrinsic(tmp_path):
         late = client.latched()
         client.wait(lambda: late, 'the latched extrinsic')
     assert np.allclose(ros.matrix(late[0]), ros.T_A_B, atol=1e-10)
+
+
+def test_what_ros2_topic_echo_gets_of_the_latched_extrinsic(tmp_path):
+    """Without an option `ros2 topic echo` takes the publisher's QoS, with one best effort."""
+    plain = ros.QoSProfile(
+        depth=1, reliability=ros.ReliabilityPolicy.RELIABLE,
+        durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
+    best_effort = ros.QoSProfile(
+        depth=1, reliability=ros.ReliabilityPolicy.BEST_EFFORT,
+        durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
+    with ros.running(tmp_path, *TAYLOR) as (_, client):
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        before = client.latched(qos=best_effort)
+        late = client.latched(qos=plain)
+        client.wait(lambda: late, 'the latched extrinsic')
+        # Fast DDS repeats what it keeps for reliable readers only. One that is there in time
+        # gets the next answer.
+        client.spin(1.0)
+        assert not before
+        assert client.call('calibrate').success
+        client.wait(lambda: before and len(late) == 2, 'the next extrinsic')
+    assert np.allclose(ros.matrix(late[0]), ros.T_A_B, atol=1e-10)
+
+
+ABSENT = """
+raise ModuleNotFoundError("No module named '{0}'", name='{0}')
+"""
+
+
+def test_without_rosbags_and_casadi_the_default_solver_calibrates(tmp_path):
+    absent = tmp_path / 'absent'
+    absent.mkdir()
+    for name in ('casadi', 'rosbags', 'apsw', 'ruamel', 'backports', 'joblib', 'matplotlib'):
+        (absent / f'{name}.py').write_text(ABSENT.format(name))
+    environment = {'PYTHONPATH': os.pathsep.join(
+        [str(absent), *filter(None, [os.environ.get('PYTHONPATH')])])}
+    with ros.running(tmp_path, environment=environment) as (node, client):
+        client.publish_drive(*ros.drive())
+        answer = client.call('calibrate')
+        assert answer.success, answer.message
+        assert client.set_parameter('solver', 'dnl').successful
+        without = client.call('calibrate')
+    assert (without.success, without.message) == (
+        False, 'casadi is not installed; pip install casadi')
+    assert 'Traceback' not in node.log
 
 
 def test_a_failure_says_why_and_keeps_the_previous_answer(tmp_path):

@@ -9,10 +9,9 @@ from pathlib import Path
 import time
 
 import numpy as np
-import pytest
+from ros_if_any import needs_ros, ros
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+pytestmark = needs_ros
 
 SECONDS = float(os.environ.get('TRAJECTORY_CALIBRATION_SOAK_S', '15'))
 RATE_HZ = 200

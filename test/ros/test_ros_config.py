@@ -5,10 +5,10 @@ from pathlib import Path
 import xml.etree.ElementTree as ET
 
 import pytest
+from ros_if_any import needs_ros, ros
 from ruamel.yaml import YAML
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+pytestmark = needs_ros
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 NODE = '/trajectory_calibration'

@@ -2,14 +2,13 @@
 
 import math
 
-import pytest
+from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 
-diagnostics = pytest.importorskip(
-    'trajectory_calibration.ros.diagnostics',
-    reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
-topics = pytest.importorskip('trajectory_calibration.ros.topics')
+pytestmark = needs_ros
+if ros is not None:
+    from trajectory_calibration.ros import diagnostics, topics
 
 SECOND = 1_000_000_000
 OK, WARN = b'\x00', b'\x01'

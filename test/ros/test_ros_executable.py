@@ -21,6 +21,19 @@ sys.exit(main())
 """
 
 
+@pytest.mark.parametrize('argument, words', [
+    ('--help', ['usage: ros2 run trajectory_calibration calibration_node', 'topic_a', '~/save']),
+    ('-h', ['usage: ']), ('--version', ['trajectory_calibration '])])
+def test_usage_is_printed_and_nothing_started(argument, words):
+    code = ('import sys; sys.modules["rclpy"] = None\n'
+            'from trajectory_calibration.ros.executable import main\n'
+            f'sys.exit(main(["{argument}"]))')
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert all(word in done.stdout for word in words)
+
+
 def test_without_ros_it_says_what_to_do():
     code = ('import sys; sys.modules["rclpy"] = sys.modules["diagnostic_msgs"] = None\n'
             'from trajectory_calibration.ros.executable import main; sys.exit(main())')

@@ -5,13 +5,13 @@ import math
 from pathlib import Path
 
 import pytest
+from ros_if_any import needs_ros, ros
 from ruamel.yaml import YAML
 
 from trajectory_calibration import CalibrationConfig, ConfigError
 from trajectory_calibration.online import options
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
+pytestmark = needs_ros
 
 ROOT = Path(__file__).resolve().parents[2]
 

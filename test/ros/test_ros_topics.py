@@ -1,12 +1,13 @@
 """What is subscribed to, for what publishers offer."""
 
 import pytest
+from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 
-ros = pytest.importorskip(
-    'ros_helpers', reason='rclpy is missing: source ROS 2 Jazzy or install ros-jazzy-rclpy')
-topics = pytest.importorskip('trajectory_calibration.ros.topics')
+pytestmark = needs_ros
+if ros is not None:
+    from trajectory_calibration.ros import topics
 
 DEPTH = 5000
 

@@ -20,7 +20,7 @@ from trajectory_calibration.cli import (
 )
 from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
-from trajectory_calibration.errors import CalibrationError, ConfigError, pip_name
+from trajectory_calibration.errors import CalibrationError, ConfigError, missing_package
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
@@ -63,8 +63,7 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
     except CalibrationError as error:
         return _fail(str(error), EXIT_USAGE if isinstance(error, ConfigError) else EXIT_NO_ANSWER)
     except ModuleNotFoundError as error:
-        package = pip_name(error)
-        return _fail(f'{package} is not installed; pip install {package}', EXIT_NO_ANSWER)
+        return _fail(str(missing_package(error)), EXIT_NO_ANSWER)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:

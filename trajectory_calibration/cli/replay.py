@@ -57,15 +57,16 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError(f'topic_a and topic_b are both {topic_a}; needed two sensors')
     with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
         tracks = reader.read([topic_a, topic_b], progress)
-    session = CalibrationSession(topic_a, topic_b, to_limits(values))
-    for topic, name, buffer in ((topic_a, 'type_a', session.buffer_a),
-                                (topic_b, 'type_b', session.buffer_b)):
+    session = CalibrationSession((topic_a, topic_b), to_limits(values))
+    for topic, name, buffer in ((topic_a, 'type_a', session.buffers[0]),
+                                (topic_b, 'type_b', session.buffers[1])):
         wanted = find_type(values[name])
         if wanted not in (None, tracks[topic].msgtype):
             raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
                              'correct it or set auto')
         feed_track(tracks[topic], buffer)
-    result = session.job(to_config(values), values['frame_a'], values['frame_b']).run().result
+    result = session.job(
+        to_config(values), (values['frame_a'], values['frame_b'])).run().result
     if arguments.format == 'json':
         print(json.dumps(result.to_dict()))
     elif arguments.format == 'yaml':

@@ -6,11 +6,14 @@ does, so the pose is read where it lies; the general way remains for what is not
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, TYPE_CHECKING
 
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.sources.cdr import parse_path, parse_pose, PATH, PathPoses, StampedPose
-from trajectory_calibration.sources.topics import TopicTrack
+
+if TYPE_CHECKING:
+    # Reading bags needs packages that a vehicle may not have.
+    from trajectory_calibration.sources.topics import TopicTrack
 
 
 class General(Protocol):

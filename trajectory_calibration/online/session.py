@@ -1,10 +1,8 @@
-"""Two buffers and what is calibrated from them: what the node and a replay share.
-
-Nothing here imports ROS.
-"""
+"""A buffer for each sensor and what is calibrated from them: what the node and a replay share."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trajectory_calibration.config.settings import CalibrationConfig
@@ -55,48 +53,66 @@ class CalibrationJob:
 
 
 class CalibrationSession:
-    """The poses of both sensors since the last reset.
+    """The poses of the sensors since the last reset; the first sensor is the parent.
 
     Parameters
     ----------
-    topic_a, topic_b : str
-        Full names; they name a sensor whose messages do not.
+    topics : sequence of str
+        Full names, one for each sensor; they name a sensor whose messages do not.
     limits : BufferLimits
         For each buffer.
 
     Attributes
     ----------
-    buffer_a, buffer_b : the poses of the parent and of the child sensor.
+    topics : the names.
+    buffers : of the sensors, in the order of the topics.
 
     """
 
-    def __init__(self, topic_a: str, topic_b: str, limits: BufferLimits) -> None:
-        self._topic_a, self._topic_b = topic_a, topic_b
-        self.buffer_a = PoseBuffer(limits)
-        self.buffer_b = PoseBuffer(limits)
+    def __init__(self, topics: Sequence[str], limits: BufferLimits) -> None:
+        self.topics = tuple(topics)
+        self.buffers = tuple(PoseBuffer(limits) for _ in self.topics)
 
-    def job(
-        self, config: CalibrationConfig, frame_a: str = '', frame_b: str = '',
-    ) -> CalibrationJob:
-        """Return a calibration of what is held now; ``frame_a``, ``frame_b`` override names."""
-        return CalibrationJob(
-            self.buffer_a.snapshot(_name_of(self._topic_a), frame_a),
-            self.buffer_b.snapshot(_name_of(self._topic_b), frame_b),
-            config)
+    def tracks(self, frames: Sequence[str] = ('', '')) -> tuple[Track, ...]:
+        """Return copies of what is held now; ``frames`` that are not empty override names."""
+        return tuple(
+            buffer.snapshot(name_of(topic), frame)
+            for buffer, topic, frame in zip(self.buffers, self.topics, frames, strict=True))
+
+    def job(self, config: CalibrationConfig, frames: Sequence[str] = ('', '')) -> CalibrationJob:
+        """Return a calibration of the second sensor in the first from what is held now."""
+        track_a, track_b = self.tracks(frames)
+        return CalibrationJob(track_a, track_b, config)
+
+    def frames(self, overrides: Sequence[str] = ('', '')) -> tuple[str, ...]:
+        """Return the frame of each sensor, '' where neither a message nor an override names it."""
+        return tuple(override or buffer.frames[1]
+                     for override, buffer in zip(overrides, self.buffers, strict=True))
 
     def reset(self) -> None:
         """Forget all poses and counts."""
-        self.buffer_a.clear()
-        self.buffer_b.clear()
+        for buffer in self.buffers:
+            buffer.clear()
+
+
+def name_of(topic: str) -> str:
+    """Return the name of a sensor whose messages do not name it."""
+    return topic.strip('/').replace('/', '_')
 
 
 def _require_observed(result: CalibrationResult) -> None:
     unobserved = result.observability.unobserved
-    if unobserved and not result.config.allow_unobserved:
-        raise MotionError(
-            f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} not '
-            f'observed ({"; ".join(map(str, result.observability.findings))})')
+    if not unobserved or result.config.allow_unobserved:
+        return
+    given = [f"set prior_translation '{_place_of(unobserved)}' and prior_translation_std"
+             for _ in range(any(name in 'xyz' for name in unobserved))]
+    raise MotionError(
+        f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} '
+        f'{"is" if len(unobserved) == 1 else "are"} unobservable '
+        f'({"; ".join(map(str, result.observability.findings))}). Do one of: drive what is '
+        f'missing; {"; ".join([*given, "set allow_unobserved"])}')
 
 
-def _name_of(topic: str) -> str:
-    return topic.strip('/').replace('/', '_')
+def _place_of(unobserved: Sequence[str]) -> str:
+    """Return how a prior of these directions is written: '-,-,Z'."""
+    return ','.join(axis.upper() if axis in unobserved else '-' for axis in 'xyz')

@@ -18,11 +18,13 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+from typing import Any, Generic, Protocol, TypeVar
 
-from trajectory_calibration.errors import CalibrationError, SolverError
-from trajectory_calibration.online.session import Calibration, CalibrationJob
+from trajectory_calibration.errors import CalibrationError, missing_package, SolverError
 
-Outcome = Calibration | CalibrationError
+Answer = TypeVar('Answer')
+Answer_co = TypeVar('Answer_co', covariant=True)
 
 # The solver gives way to whatever else the vehicle's computer has to do.
 _NICENESS = 10
@@ -48,8 +50,16 @@ _UNFINISHED = SolverError(
     'the calibration ended without an answer; the reason is in the log of the node')
 
 
-class SolverProcess:
-    """Runs one calibration at a time.
+class Job(Protocol[Answer_co]):
+    """What the process runs: plain data with a method that may raise CalibrationError."""
+
+    def run(self) -> Answer_co:
+        """Return the answer."""
+        ...
+
+
+class SolverProcess(Generic[Answer]):
+    """Runs one job at a time.
 
     Parameters
     ----------
@@ -60,6 +70,9 @@ class SolverProcess:
     Attributes
     ----------
     busy : True from ``start`` until the outcome is taken.
+    cpu_s : CPU time of the last job, its process included, seconds; of a job that was stopped,
+        the time for which it ran.
+    started_s : when the job was started, of ``time.monotonic``.
 
     """
 
@@ -69,11 +82,14 @@ class SolverProcess:
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._cancelled: str | None = None
-        self._outcome: Outcome = _UNFINISHED
+        self._outcome: Answer | CalibrationError = _UNFINISHED
         self.busy = False
+        self.cpu_s = 0.0
+        self.started_s = 0.0
 
-    def start(self, job: CalibrationJob, timeout_s: float) -> None:
-        """Start a calibration; the caller has checked that none is running."""
+    def start(self, job: Job[Answer], timeout_s: float) -> None:
+        """Start a job; the caller has checked that none is running."""
+        self.started_s = time.monotonic()
         self.busy, self._cancelled, self._outcome = True, None, _UNFINISHED
         thread = threading.Thread(
             target=self._run, args=(job, timeout_s), name='solver', daemon=True)
@@ -92,7 +108,7 @@ class SolverProcess:
             if self._process is not None:
                 self._process.kill()
 
-    def take_outcome(self) -> Outcome:
+    def take_outcome(self) -> Answer | CalibrationError:
         """Return the outcome and be free for the next calibration; waits where it must."""
         if self._thread is not None:
             self._thread.join()
@@ -106,7 +122,7 @@ class SolverProcess:
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, job: CalibrationJob, timeout_s: float) -> None:
+    def _run(self, job: Job[Answer], timeout_s: float) -> None:
         # What is not foreseen here ends this thread with a traceback in the log. The node hears
         # of the end all the same, or it would be busy for ever.
         try:
@@ -119,7 +135,7 @@ class SolverProcess:
         finally:
             self._done()
 
-    def _solve(self, job: CalibrationJob, timeout_s: float) -> Outcome:
+    def _solve(self, job: Job[Answer], timeout_s: float) -> Answer | CalibrationError:
         work = pickle.dumps(job, protocol=5)
         with self._lock:
             if self._cancelled is not None:
@@ -140,13 +156,15 @@ class SolverProcess:
                 process.kill()
                 with self._lock:
                     self._process = None
+                self.cpu_s = time.monotonic() - self.started_s
         if process.returncode != 0:
             return SolverError(
                 f'the solver process ended with status {process.returncode}; its last words are '
                 'in the log of the node')
         try:
-            outcome: Outcome = pickle.loads(reply)
-        except (pickle.UnpicklingError, EOFError) as error:
+            outcome: Answer | CalibrationError
+            outcome, self.cpu_s = pickle.loads(reply)
+        except (pickle.UnpicklingError, EOFError, TypeError, ValueError) as error:
             return SolverError(f'the answer of the solver process is damaged: {error}')
         return outcome
 
@@ -164,15 +182,16 @@ def main(node: int) -> int:
     # Solvers written in C print where they like; the answer alone goes to the pipe.
     reply = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    job: CalibrationJob = pickle.load(sys.stdin.buffer)
-    outcome: Outcome
+    job: Job[Any] = pickle.load(sys.stdin.buffer)
     try:
         outcome = job.run()
     except CalibrationError as error:
         outcome = error
+    except ModuleNotFoundError as error:
+        outcome = missing_package(error)
     try:
         with reply:
-            pickle.dump(outcome, reply, protocol=5)
+            pickle.dump((outcome, time.process_time()), reply, protocol=5)
     except BrokenPipeError:
         return 1
     return 0

@@ -1,34 +1,68 @@
-"""The executable ``calibration_node``: the node, or what to do where ROS is missing."""
+"""The executable ``calibration_node``: the node, its usage, or what to do where ROS is missing."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import sys
 
 from trajectory_calibration.ros.signals import StopSignals
+from trajectory_calibration.version import __version__
+
+_USAGE = """\
+usage: ros2 run trajectory_calibration calibration_node [--help] [--version]
+           [--ros-args -p NAME:=VALUE ... --params-file FILE -r FROM:=TO ...]
+
+Estimate the pose of sensor b in sensor a from their two trajectories, while the vehicle drives.
+
+  ros2 run trajectory_calibration calibration_node --ros-args \\
+      -p topic_a:=/lidar/odometry -p topic_b:=/camera/odometry
+  ros2 service call /trajectory_calibration/calibrate std_srvs/srv/Trigger
+  ros2 topic echo --once /trajectory_calibration/extrinsic
+
+services    ~/calibrate  ~/reset  ~/save        (std_srvs/srv/Trigger)
+publishes   ~/extrinsic  ~/extrinsic_with_covariance  ~/result  /diagnostics, and more
+"""
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Run the node; return its exit status, 2 where ROS cannot be imported."""
     # Before the imports, which take longer than everything else up to the first pose.
     stop = StopSignals()
     try:
-        return _run(stop)
+        return _run(stop, sys.argv[1:] if argv is None else argv)
     finally:
         stop.ignore()
 
 
-def _run(stop: StopSignals) -> int:
+def _run(stop: StopSignals, argv: Sequence[str]) -> int:
+    if any(word in ('-h', '--help') for word in argv):
+        sys.stdout.write(_usage())
+        return 0
+    if '--version' in argv:
+        sys.stdout.write(f'trajectory_calibration {__version__}\n')
+        return 0
     try:
         from trajectory_calibration.ros.node import main as run
     except ModuleNotFoundError as error:
-        if (error.name or '').startswith('trajectory_calibration'):
+        name = error.name or ''
+        if name.startswith('trajectory_calibration'):
             raise
         sys.stderr.write(
-            f'error: the node needs ROS 2 Jazzy, found no {error.name}; source '
+            f'error: the node needs ROS 2 Jazzy, found no {name}; source '
             '/opt/ros/jazzy/setup.bash, or on a machine without ROS pip install '
             'ros-jazzy-common-interfaces "ros-jazzy-rclpy[fastrtps]"\n')
         return 2
     return 0 if stop.received else run(stop=stop)
+
+
+def _usage() -> str:
+    """Return the usage with every parameter, its default and its meaning."""
+    from trajectory_calibration.online.options import OPTIONS
+    width = max(map(len, OPTIONS))
+    lines = [f'  {name:<{width}}  {option.default!r:<14}  {option.help}'
+             for name, option in OPTIONS.items()]
+    return '\n'.join([_USAGE, 'parameters, defaults and meaning (all in config/calibration.yaml):',
+                      *lines, ''])
 
 
 if __name__ == '__main__':

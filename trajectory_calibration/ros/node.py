@@ -81,8 +81,8 @@ class CalibrationNode(Node):
         if topics[0] == topics[1]:
             raise ConfigError(
                 f'topic_a and topic_b are both {topics[0]}; needed the topics of two sensors')
-        self._session = CalibrationSession(*topics, to_limits(values))
-        buffers = self._session.buffer_a, self._session.buffer_b
+        self._session = CalibrationSession(topics, to_limits(values))
+        buffers = self._session.buffers[0], self._session.buffers[1]
         self._inputs = [
             TrajectorySubscription(
                 self, values[f'topic_{side}'], find_type(values[f'type_{side}']), buffer,
@@ -172,14 +172,14 @@ class CalibrationNode(Node):
     def _start_solver(self, values: Mapping[str, Any]) -> None:
         excitation = self._observe(values)[0]
         self._tried = excitation.driven, excitation.motions
-        job = self._session.job(to_config(values), values['frame_a'], values['frame_b'])
+        job = self._session.job(to_config(values), (values['frame_a'], values['frame_b']))
         self._solver.start(job, values['calibration_timeout'])
 
     def _on_reset(
         self, request: Trigger.Request, response: Trigger.Response,
     ) -> Trigger.Response:
         del request
-        poses_a, poses_b = len(self._session.buffer_a), len(self._session.buffer_b)
+        poses_a, poses_b = len(self._session.buffers[0]), len(self._session.buffers[1])
         self._solver.cancel('stopped by a reset')
         self._session.reset()
         self._calibrated, self._tried, self._last_failure = False, (0, 0), ''
@@ -278,7 +278,7 @@ class CalibrationNode(Node):
         offset_s = (self._result.time_offset_s if self._calibrated and self._result is not None
                     else values['time_offset'])
         return self._excitation.update(
-            self._session.buffer_a, self._session.buffer_b, round(offset_s * 1e9),
+            self._session.buffers[0], self._session.buffers[1], round(offset_s * 1e9),
             round(values['max_gap'] * 1e9), to_config(values)), offset_s
 
     def _clock_offset(self) -> str:
@@ -309,13 +309,13 @@ class CalibrationNode(Node):
         self, values: Mapping[str, Any], excitation: Excitation, offset_s: float,
     ) -> DiagnosticStatus:
         session, result = self._session, self._result
-        apart_s = time_apart_s(session.buffer_a, session.buffer_b, offset_s)
+        apart_s = time_apart_s(session.buffers[0], session.buffers[1], offset_s)
         if apart_s > 0:
             advice = (f'the stamps of a and b are {apart_s:.3f} s apart: correct the clocks, or '
                       'set time_offset')
         else:
             advice = excitation.advice(
-                values['frame_a'] or session.buffer_a.frames[1] or 'sensor a',
+                values['frame_a'] or session.buffers[0].frames[1] or 'sensor a',
                 values['target_translation_std'], values['target_rotation_std'])
         status = DiagnosticStatus(
             name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
@@ -334,7 +334,7 @@ class CalibrationNode(Node):
             'time_offset': f'{values["time_offset"]:.4f}',
             'clock_offset_s': self._clock_offset(),
             **pairing_values(count_pairs(
-                session.buffer_a, session.buffer_b, round(offset_s * 1e9),
+                session.buffers[0], session.buffers[1], round(offset_s * 1e9),
                 round(values['max_gap'] * 1e9),
                 at_a=self._excitation.at_a and values['association'] == 'auto'), result),
             'advice': advice,

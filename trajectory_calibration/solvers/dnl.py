@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from importlib import import_module
 from threading import Lock
 from typing import Any
 
@@ -22,7 +21,7 @@ import numpy as np
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import SolverError
+from trajectory_calibration.errors import require, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
@@ -130,7 +129,7 @@ def _program() -> Any:
     """Build the nonlinear program once; the Gram matrix and the start are its parameters."""
     # Loaded here because it takes a third of a second, and as Any because its own annotations
     # refuse its own expressions.
-    ca: Any = import_module('casadi')
+    ca: Any = require('casadi')
     theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
     G, R_start = ca.SX.sym('G', 169), ca.SX.sym('R_start', 9)
     v = symbolic_monomials(ca, theta, t, R_start)

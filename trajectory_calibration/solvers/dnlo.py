@@ -24,14 +24,13 @@ truth (docs/solvers.md has the figures).
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from importlib import import_module
 from typing import Any
 
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.errors import MotionError, require
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
@@ -164,7 +163,7 @@ def _program(motions: int) -> Any:
     """Build the program for that many motions; their features and c are its parameters."""
     # Loaded here because it takes a third of a second, and as Any because its own annotations
     # refuse its own expressions.
-    ca: Any = import_module('casadi')
+    ca: Any = require('casadi')
     theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
     v = symbolic_monomials(ca, theta, t, ca.SX(np.eye(3).ravel()))
     products = ca.vertcat(*(v[int(i)] * v[int(j)] for i, j in zip(*UPPER, strict=True)))

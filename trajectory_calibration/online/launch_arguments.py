@@ -1,0 +1,94 @@
+"""What the launch file does with its arguments; apart from it, because ``launch`` is not on PyPI.
+
+An argument that is given beats the parameter file; one that is empty leaves it to the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.online.options import OPTIONS
+
+# Parameters of the node that are arguments, too, with the type in which ROS wants them.
+PARAMETERS = ('topic_a', 'topic_b', 'frame_a', 'frame_b', 'publish_tf', 'result_directory')
+
+# Name, default and meaning; the defaults of the parameters are empty: the file's.
+ARGUMENTS = (
+    ('params_file', '', 'file with the parameters of the node; empty: all defaults'),
+    ('config', '', 'older name of params_file'),
+    *((name, '', f'{OPTIONS[name].help}; empty: as in the file') for name in PARAMETERS),
+    ('namespace', '', 'namespace of the node: one for each pair of sensors'),
+    ('name', 'trajectory_calibration', 'name of the node'),
+    ('use_sim_time', 'false', 'whether a bag or a simulator publishes /clock'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal'),
+    ('respawn', 'false', 'start the node again when it ends; not after wrong parameters'),
+)
+
+_WORDS = {'true': True, 'false': False}
+_LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
+
+
+@dataclass(frozen=True)
+class LaunchSettings:
+    """How the node is started.
+
+    Attributes
+    ----------
+    params_file : path of the parameter file, or None.
+    parameters : what beats the file, by name.
+    namespace, name, log_level, respawn : of the process.
+
+    """
+
+    params_file: str | None
+    parameters: dict[str, Any] = field(default_factory=dict)
+    namespace: str = ''
+    name: str = 'trajectory_calibration'
+    log_level: str = 'info'
+    respawn: bool = False
+
+
+def launch_settings(arguments: Mapping[str, str]) -> LaunchSettings:
+    """Return how to start the node for launch arguments, all of them texts.
+
+    Raises
+    ------
+    ConfigError
+        The parameter file does not exist, or a value does not fit.
+
+    """
+    given = {name: arguments.get(name, default) or default for name, default, _ in ARGUMENTS}
+    parameters: dict[str, Any] = {'use_sim_time': _switch('use_sim_time', given['use_sim_time'])}
+    for name in PARAMETERS:
+        if given[name]:
+            value = (_switch(name, given[name]) if OPTIONS[name].kind is bool else given[name])
+            parameters[name] = OPTIONS[name].check(value)
+    if given['log_level'] not in _LOG_LEVELS:
+        raise ConfigError(
+            f'log_level is {given["log_level"]!r}, needed one of {", ".join(_LOG_LEVELS)}')
+    return LaunchSettings(
+        _params_file(given['params_file'], given['config']), parameters, given['namespace'],
+        given['name'], given['log_level'], _switch('respawn', given['respawn']))
+
+
+def _params_file(params_file: str, config: str) -> str | None:
+    if params_file and config and params_file != config:
+        raise ConfigError(
+            f'params_file is {params_file} and config {config}, two names of one argument; '
+            'give one of them')
+    path = params_file or config
+    if not path:
+        return None
+    if not Path(path).expanduser().is_file():
+        raise ConfigError(f'params_file {path} does not exist; correct its path')
+    return str(Path(path).expanduser())
+
+
+def _switch(name: str, text: str) -> bool:
+    if text.lower() not in _WORDS:
+        raise ConfigError(f'{name} is {text!r}, needed true or false')
+    return _WORDS[text.lower()]
