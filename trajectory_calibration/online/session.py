@@ -104,13 +104,14 @@ def _require_observed(result: CalibrationResult) -> None:
     unobserved = result.observability.unobserved
     if not unobserved or result.config.allow_unobserved:
         return
-    given = [f"set prior_translation '{_place_of(unobserved)}' and prior_translation_std"
-             for _ in range(any(name in 'xyz' for name in unobserved))]
+    ways = ['drive what is missing']
+    if any(name in unobserved for name in 'xyz'):
+        ways.append(f"set prior_translation '{_place_of(unobserved)}' and prior_translation_std")
     raise MotionError(
         f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} '
         f'{"is" if len(unobserved) == 1 else "are"} unobservable '
-        f'({"; ".join(map(str, result.observability.findings))}). Do one of: drive what is '
-        f'missing; {"; ".join([*given, "set allow_unobserved"])}')
+        f'({"; ".join(map(str, result.observability.findings))}). Do one of: '
+        f'{"; ".join([*ways, "set allow_unobserved"])}')
 
 
 def _place_of(unobserved: Sequence[str]) -> str:
