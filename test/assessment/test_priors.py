@@ -297,4 +297,4 @@ def test_a_prior_that_contradicts_the_motion_is_said():
             prior_translation_std='0.01')).findings
         said = [finding for finding in found if finding.code == 'prior-contradicts']
         assert len(said) == expected
-    assert said[0].startswith('the prior of the translation z is 0.5')
+    assert said[0].text.startswith('the prior of the translation z is 0.5')
