@@ -1,0 +1,29 @@
+"""The documentation site: ``make docs`` builds it with warnings as errors."""
+
+from pathlib import Path
+import re
+
+_VERSION = Path(__file__).resolve().parents[1] / 'trajectory_calibration' / 'version.py'
+
+project = 'trajectory_calibration'
+author = 'trajectory_calibration maintainers'
+copyright = 'trajectory_calibration maintainers, Apache-2.0'  # noqa: A001 (Sphinx's name)
+version = release = re.search(r"'(.+)'", _VERSION.read_text(encoding='utf-8'))[1]
+
+extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon', 'sphinx.ext.mathjax']
+myst_enable_extensions = ['dollarmath', 'deflist']
+myst_heading_anchors = 4
+source_suffix = {'.md': 'markdown'}
+exclude_patterns = ['build', '**.ipynb', 'benchmark/summary.md']
+# Links to files of the repository that are no pages of the site (../config/calibration.yaml).
+suppress_warnings = ['myst.xref_missing', 'myst.header', 'misc.highlighting_failure']
+
+autodoc_member_order = 'bysource'
+autodoc_typehints = 'signature'
+napoleon_use_ivar = True
+# Needed on a vehicle, not for the pages.
+autodoc_mock_imports = ['rclpy', 'casadi']
+
+html_theme = 'furo'
+html_title = f'trajectory_calibration {release}'
+html_static_path = []
