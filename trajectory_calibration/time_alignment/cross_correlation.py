@@ -67,7 +67,9 @@ def find_coarse_offset(a: Trajectory, b: Trajectory, max_offset_s: float) -> Coa
     reach_ns = round(max_offset_s * 1e9)
     found = _correlate(
         *_turned_in_cells(a, times_a, cell_ns, _reached(times_b, reach_ns)),
-        *_turned_in_cells(b, times_b, cell_ns, _reached(times_a, reach_ns)))
+        *_turned_in_cells(b, times_b, cell_ns, _reached(times_a, reach_ns)),
+        # One lag beyond the allowed ones on either side, to compare those with.
+        int(max_offset_s * 1e9 / cell_ns) + 3)
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(found.lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
     if not (found.correlation[allowed] > 0).any():
@@ -75,7 +77,7 @@ def find_coarse_offset(a: Trajectory, b: Trajectory, max_offset_s: float) -> Coa
     best = int(np.argmax(np.where(allowed, found.correlation, -1.0)))
     # Cells shorter than a step share its noise.
     samples = min(1.0, cell_ns / usual) * found.known
-    places = [best, *_rivals(found.apart, allowed, samples, best)]
+    places = [best, *_rivals(found, allowed, samples, best)]
     return CoarseOffset(float(found.correlation[best]), cell_ns,
                         tuple(int(found.lags[place]) * cell_ns for place in places))
 
@@ -91,13 +93,14 @@ def chance_factor(samples: FloatArray, other: float) -> FloatArray:
 
 
 def _rivals(
-    apart: FloatArray, allowed: NDArray[np.bool_], samples: FloatArray, best: int,
+    lags: _Lags, allowed: NDArray[np.bool_], samples: FloatArray, best: int,
 ) -> list[int]:
-    """Return where else the two may be ``apart`` as little as at the ``best`` of the (K,) lags.
+    """Return where else the two may be apart as little as at the ``best`` of the (K,) lags.
 
     Those are local minima where it is ``allowed``, the nearest to lag zero first; ``samples``
     (K,) is the number of independent turns behind each.
     """
+    apart = lags.apart
     before, after = np.roll(apart, 1), np.roll(apart, -1)
     minima = (apart <= before) & (apart < after) & np.isfinite(np.maximum(before, after))
     places = np.concatenate([[best], np.flatnonzero(allowed & minima)])
@@ -110,8 +113,8 @@ def _rivals(
     limit = max(float(least[0]), 0.0) + _BOTTOM_SHARE * float(rise[0])
     near = least - _BOTTOM_SHARE * rise <= limit * chance_factor(samples[places], samples[best])
     found = places[near & (places != best)]
-    distance = np.minimum(found, len(apart) - found)
-    return [int(place) for place in found[np.argsort(distance)]][:_RIVALS]
+    distance = np.abs(lags.lags[found])
+    return [int(place) for place in found[np.argsort(distance, kind='stable')]][:_RIVALS]
 
 
 def _without_pauses(
@@ -177,8 +180,9 @@ class _Lags:
 
 def _correlate(
     a: FloatArray, known_a: NDArray[np.bool_], b: FloatArray, known_b: NDArray[np.bool_],
+    reach: int,
 ) -> _Lags:
-    """Compare ``a[k + lag]`` with ``b[k]`` at all lags."""
+    """Compare ``a[k + lag]`` with ``b[k]`` at all lags of at most ``reach`` cells."""
     size = 1 << (len(a) + len(b) - 1).bit_length()
 
     def transform(values: FloatArray) -> NDArray[np.complex128]:
@@ -186,8 +190,10 @@ def _correlate(
 
     def products(left: FloatArray, right: FloatArray) -> FloatArray:
         spectrum = transform(left)[:, :, None] * transform(right).conj()[:, None, :]
-        return np.fft.irfft(spectrum, size, axis=0)
+        return np.fft.irfft(spectrum, size, axis=0)[lags]
 
+    reach = min(reach, size // 2 - 1)
+    lags = np.arange(-reach, reach + 1, dtype=np.int64)
     covariance = products(a, b)
     square_a, square_b = (np.sum(v**2, axis=1, keepdims=True) for v in (a, b))
     weight_a, weight_b = (k.astype(np.float64)[:, None] for k in (known_a, known_b))
@@ -201,9 +207,8 @@ def _correlate(
     enough = overlap > max(_LEAST_OVERLAP * min(known_a.sum(), known_b.sum()), 1.0)
     usable = enough & (energy > 1e-9 * max(float(energy.max()), np.finfo(float).tiny))
     correlation = np.where(usable, gain / np.where(usable, energy, 1.0), 0.0)
-    index = np.arange(size, dtype=np.int64)
     known = np.maximum(overlap, 1.0)
     # Rounding may leave less than nothing; what goes against each other is no candidate.
     apart = np.where(
         correlation > 0, np.maximum((energy_a + energy_b - 2 * gain) / known, 0.0), np.inf)
-    return _Lags(np.where(index < size // 2, index, index - size), correlation, apart, known)
+    return _Lags(lags, correlation, apart, known)
