@@ -1,9 +1,12 @@
 # Everything a fresh clone needs is Python 3.10 to 3.13 with venv, and make.
 #
 #   make demo    simulate a drive, calibrate it online and offline, compare with the truth
-#   make test    every check: the oldest dependencies, style, types, the demo, all tests
-#   make unit    only the tests on the newest
-#   make lint    only style and types
+#   make test      every check: style, types, the demo, all tests on the newest dependencies,
+#                  and those without statistics on the oldest
+#   make test-all  the same, and the tests that take minutes: long statistics, soak, 50 signals
+#   make unit      only the tests on the newest
+#   make lint      only style and types
+#   make docs      the documentation site, in build/docs
 #   make clean   remove what these made
 #
 # On a sourced ROS 2 Jazzy machine its own rclpy and NumPy are used; elsewhere rclpy comes from
@@ -12,7 +15,7 @@
 SHELL := /bin/bash -o pipefail
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: demo test unit lint oldest clean
+.PHONY: demo test test-all unit lint oldest docs clean
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -21,6 +24,8 @@ SETUP_FILES := setup.py setup.cfg pyproject.toml package.xml Makefile
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
+# Processes of the tests.
+JOBS ?= $(shell nproc)
 PIP_OPTIONS := -m pip install --quiet
 PIP_INSTALL = $(BIN)/python $(PIP_OPTIONS) -c $(VENV)/constraints.txt
 
@@ -40,10 +45,13 @@ endif
 demo: $(VENV)/installed
 	@$(BIN)/python demo/demo.py
 
-test: oldest lint demo unit
+test: lint oldest demo unit
+
+test-all: lint oldest demo $(VENV)/installed-for-tests
+	$(BIN)/python -m pytest -n $(JOBS) -m ''
 
 unit: $(VENV)/installed-for-tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(JOBS)
 
 lint: $(VENV)/installed-for-tests
 	$(BIN)/ruff check .
@@ -51,7 +59,10 @@ lint: $(VENV)/installed-for-tests
 
 # The same tests on the oldest supported dependencies, without ROS: what needs it is skipped.
 oldest: $(VENV)/oldest/installed
-	$(VENV)/oldest/bin/python -m pytest -q -r fE
+	$(VENV)/oldest/bin/python -m pytest -n $(JOBS) -q -r fE -m 'not slow and not statistical'
+
+docs: $(VENV)/installed-for-tests
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
 
 $(VENV)/constraints.txt:
 	@test -n '$(PYTHON)' || { echo 'error: found no Python 3.10 to 3.13 with venv; install one' \
@@ -68,7 +79,7 @@ $(VENV)/installed: $(VENV)/constraints.txt $(SETUP_FILES)
 
 $(VENV)/installed-for-tests: $(VENV)/installed
 	@echo 'installing the tools of the tests ...'
-	@$(PIP_INSTALL) -e '.[test,lint,colcon$(if $(SOURCED),,,ament)]'
+	@$(PIP_INSTALL) -e '.[test,lint,docs,colcon$(if $(SOURCED),,,ament)]'
 	@touch $@
 
 $(VENV)/oldest/installed: test/oldest.txt $(VENV)/installed-for-tests

@@ -263,7 +263,9 @@ class Client:
 def connected(namespace=None, domain=None):
     """Yield a client, by default alone in a domain of its own."""
     number = next(_numbers)
-    domain = domain or 1 + number % 101
+    # Each process of a parallel run counts in a range of its own.
+    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
+    domain = domain or 1 + 50 * (worker % 2) + number % 50
     namespace = namespace or f'/test_{os.getpid()}_{number}'
     previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-main = pytest.importorskip('ament_flake8.main', reason='ament_flake8 is not installed')
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.mark.flake8
 @pytest.mark.linter
 def test_flake8():
+    main = pytest.importorskip('ament_flake8.main', reason='ament_flake8 is not installed')
     paths = ('trajectory_calibration', 'demo', 'launch', 'test', 'setup.py')
     code, errors = main.main_with_errors(argv=[
         '--config', str(ROOT / 'test' / 'flake8.ini'), *(str(ROOT / path) for path in paths)])

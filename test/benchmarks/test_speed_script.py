@@ -9,14 +9,12 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / 'benchmarks' / 'speed.py'
 
-# An installed package has its tests without the scripts.
-pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason='benchmarks/ is not here')
-
 
 def columns(line):
     return [cell.strip() for cell in line.strip().strip('|').split('|')]
 
 
+@pytest.mark.skipif(not SCRIPT.exists(), reason='benchmarks/ is not here')
 def test_the_script_prints_the_columns_and_targets_of_the_document(
         shared_data, monkeypatch, capsys):
     pytest.importorskip('casadi', reason='casadi is not installed')
