@@ -340,17 +340,19 @@ def test_a_path_that_is_no_file_name_is_refused(result, path):
         CalibrationResult.load(path)
 
 
-def test_warnings_of_the_motion_survive_and_older_files_are_read_without(result, tmp_path):
-    weak = Finding('direction-weak', 'translation along z: weak', {'std_m': 0.1})
-    seen = dataclasses.replace(result.observability, findings=(weak,))
-    dataclasses.replace(result, observability=seen, findings=(weak,)).save(tmp_path / 'r.yaml')
+def test_findings_of_the_motion_survive_and_older_files_are_read_without(result, tmp_path):
+    found = Finding('direction-weak', 'z weak', {'std_m': 0.1})
+    dataclasses.replace(result, findings=(found,)).save(tmp_path / 'r.yaml')
     again = CalibrationResult.load(tmp_path / 'r.yaml')
-    assert again.observability.findings == again.findings == (weak,)
-    older = again.to_dict()
-    del older['observability']['warnings'], older['findings']
-    older['format_version'] = 1
-    assert CalibrationResult.from_dict(older).warnings == (weak.text,)
-    assert CalibrationResult.from_dict(older).observability.findings == ()
+    assert again.findings == again.observability.findings == (found,)
+    assert again.warnings == ('z weak',)
+    older = {**again.to_dict(), 'format_version': 1}
+    del older['findings']
+    read = CalibrationResult.from_dict(older)
+    assert (read.warnings, read.observability.findings) == (('z weak',), ())
+    older['warnings'] = 'abc'
+    with pytest.raises(ResultError, match="found 'abc', needed a value of type list"):
+        CalibrationResult.from_dict(older)
 
 
 def test_missing_file(tmp_path):

@@ -114,6 +114,8 @@ def calibrate(
         time_offset_s=pairs.summary.time_offset_s + solution.time_offset_s,
         clock_drift=clock.drift,
         clock_drift_from_ns=clock.drift_from_ns,
+        start_ns=int(pairs.stamps_ns[0]),
+        duration_s=float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
         findings=worst_first((
             *trajectory_a.findings,

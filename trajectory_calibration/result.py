@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from datetime import datetime, timezone
 import os
 from pathlib import Path
 import re
@@ -67,6 +68,8 @@ class CalibrationResult:
     reference_choice : why, or None where the reference was given.
     optimality_gap : how much lower the solver's cost could be elsewhere, at most, as a share of
         it; None where the solver gives no certificate.
+    start_ns, duration_s : first stamp of the pairs in the clock of a, and their time span; None
+        in files that do not say so.
     version : of the package that made the result.
 
     """
@@ -91,6 +94,8 @@ class CalibrationResult:
     reference: str = ''
     reference_choice: str | None = None
     optimality_gap: float | None = None
+    start_ns: int | None = None
+    duration_s: float | None = None
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -107,6 +112,25 @@ class CalibrationResult:
         """Return the sentences of the findings."""
         return texts(self.findings)
 
+    @property
+    def std(self) -> FloatArray | None:
+        """Return the (6,) standard deviations, m and rad, in the order of the covariance."""
+        if self.covariance is None:
+            return None
+        std: FloatArray = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+        return std
+
+    @property
+    def start_utc(self) -> str | None:
+        """Return when the data begin, '2023-11-14T22:13:20Z'; None where no calendar has it."""
+        if self.start_ns is None:
+            return None
+        try:
+            start = datetime.fromtimestamp(self.start_ns // 10**9, tz=timezone.utc)
+        except (OverflowError, ValueError, OSError):
+            return None
+        return start.strftime('%Y-%m-%dT%H:%M:%SZ')
+
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
         """Return e_at (m) and e_aR (rad) against a known (4, 4) extrinsic."""
         return absolute_errors(self.T_a_b, np.asarray(T_a_b_true, dtype=np.float64))
@@ -117,6 +141,8 @@ class CalibrationResult:
         ``T_a_b_true`` (4, 4) fills ``e_at_m`` and ``e_aR_deg``.
         """
         truth = None if T_a_b_true is None else self.absolute_errors(T_a_b_true)
+        std = self.std
+        rpy_deg = np.rad2deg(se3.roll_pitch_yaw(self.T_a_b[:3, :3]))
         return {
             'format_version': FORMAT_VERSION,
             'package_version': self.version,
@@ -128,7 +154,11 @@ class CalibrationResult:
             'T_a_b': {
                 'translation': self.T_a_b[:3, 3].tolist(),
                 'rotation_xyzw': se3.rotation_to_quaternion(self.T_a_b[:3, :3]).tolist(),
+                'translation_m': self.T_a_b[:3, 3].tolist(),
+                'rotation_rpy_deg': rpy_deg.tolist(),
             },
+            'std_m': None if std is None else std[:3].tolist(),
+            'std_deg': None if std is None else np.rad2deg(std[3:]).tolist(),
             'covariance': None if self.covariance is None else self.covariance.tolist(),
             'poses': self.poses,
             'motions': self.motions,
@@ -141,7 +171,11 @@ class CalibrationResult:
             'scale': self.scale,
             'time_offset_s': self.time_offset_s,
             'clock_drift': self.clock_drift,
+            'clock_drift_ppm': 1e6 * self.clock_drift,
             'clock_drift_from_ns': self.clock_drift_from_ns,
+            'start_ns': self.start_ns,
+            'start_utc': self.start_utc,
+            'duration_s': self.duration_s,
             'optimality_gap': self.optimality_gap,
             'observability': self.observability.to_dict(),
             'diagnosis': self.diagnosis,
@@ -199,6 +233,8 @@ class CalibrationResult:
                 reference_choice=_optional(str, data['reference_choice']),
                 optimality_gap=(None if data['optimality_gap'] is None
                                 else _number(data['optimality_gap'])),
+                start_ns=_optional(int, data.get('start_ns')),
+                duration_s=_optional(float, data.get('duration_s')),
                 version=str(data['package_version']),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:

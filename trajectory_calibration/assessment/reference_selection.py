@@ -121,7 +121,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
                 f'{config.reference} is too long for {len(pairs)} poses'))
         return ReferenceChoice(config.reference)
     if config.solver in WITHOUT_REFERENCE:
-        return ReferenceChoice(usual, f'{config.solver} needs no reference')
+        return ReferenceChoice(usual)
     try:
         known = _known(pairs, config)
     except (MotionError, SolverError) as error:
