@@ -175,3 +175,19 @@ def test_refuses_quaternions_that_are_none(poses):
         Trajectory.from_quaternions(stamps(10), p, q)
     with pytest.raises(TrajectoryError, match=r'needed \(N, 3\) and \(N, 4\)'):
         Trajectory.from_quaternions(stamps(10), q, p)
+
+
+def test_arrays_of_a_notebook():
+    seconds = [0.5, 1.0, 1.25]
+    found = Trajectory.from_arrays(
+        seconds, np.eye(3), [[0, 0, 0.6, 0.8]] * 3, world_frame='odom', sensor_frame='camera')
+    np.testing.assert_array_equal(found.stamps_ns, [500_000_000, 1_000_000_000, 1_250_000_000])
+    np.testing.assert_array_equal(found.positions, np.eye(3))
+    assert (found.world_frame, found.sensor_frame) == ('odom', 'camera')
+    np.testing.assert_allclose(found.rotations[0, :, 0], [0.28, 0.96, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize('seconds', [[0, 1, np.nan], [0, 1, 1.7e18], [0, 'x', 2]])
+def test_seconds_that_are_none(seconds):
+    with pytest.raises(TrajectoryError, match='seconds are'):
+        Trajectory.from_arrays(seconds, np.eye(3), [[0, 0, 0, 1]] * 3)

@@ -17,7 +17,7 @@ import pytest
 from trajectory_calibration import ConfigError, SourceError
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.geometry.se3 import quaternion_to_rotation
-from trajectory_calibration.sources.files import _seconds_to_ns, FileSource, read_transform
+from trajectory_calibration.sources.files import FileSource, read_transform
 
 _SECOND = 10**9
 
@@ -71,15 +71,6 @@ def test_stamps_are_exact_to_the_nanosecond(tmp_path, stamps):
     np.testing.assert_array_equal(FileSource(path).load().stamps_ns, stamps_ns)
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.decimals(0, 9_000_000_000, places=12))
-def test_seconds_in_any_notation(stamp):
-    expected = round(stamp * _SECOND)
-    assert _seconds_to_ns(str(stamp).encode()) == expected
-    assert _seconds_to_ns(f'{stamp:.20e}'.encode()) == expected
-    assert abs(_seconds_to_ns(repr(float(stamp)).encode()) - expected) <= 2000
-
-
 def test_numpy_savetxt_is_read_to_its_last_digit(tmp_path, track):
     stamps_ns, poses = track
     seconds = stamps_ns / _SECOND
@@ -118,7 +109,7 @@ def test_euroc_header_that_names_w_last_is_believed(tmp_path, track):
     path = _write(tmp_path / 'data.csv', ['#time,x,y,z,qx,qy,qz,qw', *rows])
     trajectory = FileSource(path).load()
     np.testing.assert_array_equal(trajectory.positions, poses[:, :3])
-    assert 'names qw last' in trajectory.warnings[0]
+    assert 'read as ns' in trajectory.warnings[0]
 
 
 def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
@@ -136,7 +127,7 @@ def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
 def test_quaternions_that_seem_to_begin_with_w_are_said(tmp_path, first):
     rows = [f'1 0 0 0 {first}', '2 1 0 0 0.6 0 0 0.8', '3 2 0 0 0.6 0 0 0.8']
     trajectory = FileSource(_write(tmp_path / 'a.txt', rows), sensor_frame='cam').load()
-    assert 'w comes first here: TUM files have x y z w' in trajectory.warnings[0]
+    assert 'w comes first: add --quaternion-order wxyz' in trajectory.warnings[0]
     trajectory = FileSource(_write(tmp_path / 'a.txt', rows[1:])).load()
     assert trajectory.warnings == ()
 
@@ -159,14 +150,13 @@ def test_last_line_without_an_end_is_used(tmp_path, track):
 
 
 @pytest.mark.parametrize(('line', 'message'), [
-    ('1 2 3 4 0 0 0', 'line 3: 7 columns, needed 8'),
-    ('1 2 3 4 0 0 0 1 9', 'line 3: 9 columns, needed 8'),
-    ('1 2 3 x 0 0 0 1', "line 3: needed 8 numbers; found '1 2 3 x 0 0 0 1'"),
-    ('1 2 3 1_0 0 0 0 1', 'line 3: needed 8 numbers'),
-    ('1 2 3 \u00e9 0 0 0 1', 'line 3: needed 8 numbers'),
-    ('1700000000123 2 3 4 0 0 0 1', 'line 3: .* milliseconds. Then divide them by 1000;'),
-    ('1700000000123456 2 3 4 0 0 0 1', 'line 3: .* microseconds. Then divide them by 1e6;'),
-    ('1700000000123456789 2 3 4 0 0 0 1', 'line 3: the time .* are these nanoseconds'),
+    ('1 2 3 4 0 0 0', 'line 3: 7 columns, the other lines have 8'),
+    ('1 2 3 4 0 0 0 1 9', 'line 3: 9 columns, the other lines have 8'),
+    ('1 2 3 x 0 0 0 1', "line 3, column 4: 'x' is no number"),
+    ('1 2 3 1_0 0 0 0 1', "line 3, column 4: '1_0' is no number"),
+    ('1 2 3 \u00e9 0 0 0 1', 'line 3, column 4: .* is no number'),
+    ('1700000000123 2 3 4 0 0 0 1', 'line 3, column 1: .* is out of range'),
+    ('1700000000123456789 2 3 4 0 0 0 1', 'line 3, column 1: .* is out of range'),
     ('1 2 3 4 0.5 0 0 0', 'line 3: the norm of the quaternion is 0.5, needed 1'),
     ('1 2 3 4 1e200 0 0 0', 'line 3: the norm of the quaternion is inf'),
 ])
@@ -182,9 +172,9 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'', r'holds no poses \(0 bytes\)'),
     (b'# only a comment\n\n', 'holds no poses'),
     (b'\x7fELF\x02\x00\x01', 'is not text: it holds a zero byte at 5'),
-    (b'a,b,c\n', 'line 1: no known format'),
-    (b'1 2 3\n', 'line 1: no known format'),
-    (b'1.5,1,2,3,1,0,0,0\n', 'line 1: no known format'),
+    (b'a,b,c\n', 'holds no poses'),
+    (b'1 2 3\n', '3 columns without a heading .*: positions without an orientation'),
+    (b'1.5,1,2,3,1,0,0,0\n', '8 columns .* separated by commas: .*--quaternion-order'),
     (b'1 2 3 4 0 0 0 1\n', '1 of 1 rows give a pose, needed at least 2; record'),
     (b'1 2 3 4 0 0 0 1\n' * 2, '1 pose with a stamp of its own, needed at least 2'),
     (b'nan nan nan nan nan nan nan nan\n' * 3,
@@ -211,18 +201,18 @@ def test_files_that_cannot_be_read(tmp_path):
 
 def test_seconds_with_commas_are_read_where_the_format_is_said(tmp_path, track):
     path = _write(tmp_path / 'a.csv', [row.replace(' ', ',') for row in _tum_rows(*track)])
-    with pytest.raises(SourceError, match=r'say that the format is tum \(--format-a, --format-b'):
+    with pytest.raises(SourceError, match='say --quaternion-order xyzw or --quaternion-order wxyz'):
         FileSource(path).load()
     _expect(FileSource(path, 'tum').load(), track)
+    _expect(FileSource(path, quaternion_order='xyzw').load(), track)
 
 
 @pytest.mark.parametrize('separator', [' ', ','])
 @pytest.mark.parametrize('file_format', [None, 'tum'])
-def test_a_heading_needs_a_mark(tmp_path, track, separator, file_format):
+def test_a_heading_needs_no_mark(tmp_path, track, separator, file_format):
     rows = ['t x y z qx qy qz qw', *_tum_rows(*track)]
     path = _write(tmp_path / 'a.txt', [row.replace(' ', separator) for row in rows])
-    with pytest.raises(SourceError, match=r'line 1: .*; put # before a heading; found'):
-        FileSource(path, file_format).load()
+    _expect(FileSource(path, file_format).load(), track)
 
 
 @pytest.mark.parametrize('pack', [gzip.compress, bz2.compress, lzma.compress])
@@ -243,9 +233,9 @@ def test_a_topic_needs_its_bag(tmp_path, name):
 
 def test_format_can_be_forced(tmp_path, track):
     path = _write(tmp_path / 'a.txt', _tum_rows(*track))
-    with pytest.raises(SourceError, match='line 1: 8 columns, needed 12'):
+    with pytest.raises(SourceError, match='8 columns, KITTI needs at least 12'):
         FileSource(path, 'kitti', times=path).load()
-    with pytest.raises(SourceError, match=r'line 1: the time .* is no integer'):
+    with pytest.raises(SourceError, match='nanoseconds have no fraction'):
         FileSource(_write(path, ['1.5,1,2,3,1,0,0,0'] * 3), 'euroc').load()
 
 
@@ -253,11 +243,11 @@ def test_kitti_needs_as_many_times_as_poses(tmp_path):
     pose = '1 0 0 0 0 1 0 0 0 0 1 0'
     path = _write(tmp_path / 'poses.txt', [pose] * 4)
     with pytest.raises(SourceError, match=(
-            r'carry no time; give the file of their times .*\(--times-a, --times-b; --times of')):
+            'carry no time; give the file of their times .*--times-a, --times-b')):
         FileSource(path).load()
     with pytest.raises(SourceError, match=r'holds 4 poses and .* 3 times'):
         FileSource(path, times=_write(tmp_path / 't.txt', ['0', '1', '2'])).load()
-    with pytest.raises(SourceError, match='line 2: needed 1 numbers'):
+    with pytest.raises(SourceError, match="line 2, column 1: 'x' is no number"):
         FileSource(path, times=_write(tmp_path / 't.txt', ['0', 'x', '2', '3'])).load()
     with pytest.raises(SourceError, match='carries its own times'):
         tum = _write(tmp_path / 'tum.txt', ['1 2 3 4 0 0 0 1'] * 3)
@@ -323,7 +313,7 @@ def test_transform_with_and_without_a_stamp(tmp_path, row):
     (['1 2 3'], 'line 1: 3 numbers, needed 7 or 8'),
     (['1 2 3 0 0 0 1', '1 2 3 0 0 0 1'], 'holds 2 rows, needed one transform'),
     (['1 2 3 0 0 0 2'], 'line 1: .* is no transform'),
-    (['1 2 3 0 0 0 x'], 'line 1: needed 7 numbers'),
+    (['1 2 3 0 0 0 x'], "line 1, column 7: 'x' is no number"),
     (['1 2 nan 0 0 0 1'], 'line 1: .* is no transform'),
 ])
 def test_wrong_transforms(tmp_path, lines, message):
@@ -351,5 +341,5 @@ def test_the_sample_of_the_readme_runs_on_what_its_commands_make(tmp_path, monke
 
 
 def test_a_format_that_is_none_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"'csv' is unknown; needed one of tum, kitti, euroc"):
+    with pytest.raises(ConfigError, match=r"'csv' is unknown; needed one of tum, euroc, kitti"):
         FileSource(tmp_path / 'a', 'csv').load()

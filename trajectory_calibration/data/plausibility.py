@@ -8,9 +8,11 @@ rare recordings are as slow, and rare vehicles as fast.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry.se3 import FloatArray
 
 # Median speed, metres a second, above which no ground vehicle and hardly a drone moves.
 _FASTEST = 100.0
@@ -25,6 +27,9 @@ _USUAL_STEP = 1.0
 # What seconds are divided by where they are none, and the factor that rates of sensors differ by.
 _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
 _RATES = 10.0
+
+# Steps of a trajectory from the origin at which a row of the identity is none of its poses.
+_FAR_STEPS = 5.0
 
 
 def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
@@ -79,3 +84,30 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
                 f'Then divide them by {divisor}', {'factor': factor})
             return (question,)
     return ()
+
+
+def lost_as_identity(poses: FloatArray) -> NDArray[np.bool_]:
+    """Tell which of (N, 7) poses or (N, 4, 4) matrices are an identity that was written for none.
+
+    A SLAM that lost its track often writes the identity. A trajectory that begins there, or
+    really begins anew there, goes on from there; these have neighbours that are far.
+    """
+    if not len(poses):
+        return np.zeros(0, dtype=bool)
+    flat = poses.reshape(len(poses), -1)
+    identity = np.array([0, 0, 0, 0, 0, 0, 1.0]) if poses.ndim == 2 else np.eye(4).ravel()
+    found = (flat == identity).all(axis=1)
+    # Those at the beginning are the origin of the trajectory.
+    found[:np.argmin(found)] = False
+    if not found.any() or found.all():
+        return np.zeros(len(poses), dtype=bool)
+    place = poses[:, :3] if poses.ndim == 2 else poses[:, :3, 3]
+    others = np.flatnonzero(~found)
+    steps = np.linalg.norm(np.diff(place[others], axis=0), axis=1)
+    far = np.linalg.norm(place, axis=1) > _FAR_STEPS * float(np.median(steps)) if len(
+        steps) else np.zeros(len(poses), dtype=bool)
+    lost = np.zeros(len(poses), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
+    for first, end in edges.reshape(-1, 2).tolist():
+        lost[first:end] = far[first - 1] and (end == len(poses) or far[end])
+    return lost

@@ -25,6 +25,8 @@ ROTATION_TOLERANCE = 1e-2
 MAX_POSITION = 1e9
 
 _YEAR_NS = 365.25 * 86400e9
+# Seconds that int64 holds as nanoseconds.
+_MOST_SECONDS = 9.2e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,39 @@ class Trajectory:
         R = se3.quaternion_to_rotation(q / norm[:, None])
         return cls(_stamp_array(stamps_ns), se3.from_rotation_translation(R, p),
                    world_frame, sensor_frame, findings)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        seconds: ArrayLike,
+        positions: ArrayLike,
+        quaternions_xyzw: ArrayLike,
+        *,
+        world_frame: str = 'map',
+        sensor_frame: str = 'sensor',
+    ) -> Trajectory:
+        """Build a trajectory from what stands in a notebook.
+
+        Parameters
+        ----------
+        seconds : (N,) times, seconds. Since 1970, float64 resolves 0.2 us.
+        positions : (N, 3), x, y, z of the sensor in its world, metres.
+        quaternions_xyzw : (N, 4), x, y, z, w of its orientation.
+        world_frame, sensor_frame : names of the frames.
+
+        Raises
+        ------
+        TrajectoryError
+            Wrong shapes, numbers that are not finite, times that no clock shows.
+
+        """
+        time = _real_numbers(seconds, 'seconds', 'one per pose')
+        # Written so that NaN fails.
+        if not (np.abs(time) < _MOST_SECONDS).all():
+            raise TrajectoryError(
+                'seconds are not finite or beyond the year 2262; are they in another unit?')
+        return cls.from_quaternions(np.rint(time * 1e9).astype(np.int64), positions,
+                                    quaternions_xyzw, world_frame, sensor_frame)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -260,7 +295,7 @@ def _repair_rotations(poses: FloatArray) -> list[str]:
     # Squares of numbers that are far from a rotation's overflow; the judge refuses what they give.
     with np.errstate(over='ignore', invalid='ignore'):
         deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        deviation = np.where(np.linalg.det(R) > 0, deviation, np.inf)
+        deviation = np.where(se3.determinant(R) > 0, deviation, np.inf)
     note = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
     if deviation.max(initial=0.0) > 1e-14:
         poses[:, :3, :3] = se3.nearest_rotation(R)

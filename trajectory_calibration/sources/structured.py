@@ -1,0 +1,186 @@
+"""Poses in files that are no tables: g2o, COLMAP, nerfstudio, NumPy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import SourceError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.sources.numbers import Numbers
+from trajectory_calibration.sources.text import Table
+from trajectory_calibration.sources.times import stamps_in_names
+
+STRUCTURED = ('g2o', 'colmap', 'nerfstudio', 'npy')
+_COLMAP_COLUMNS = 10
+_VERTEX = b'VERTEX_SE3:QUAT'
+
+
+@dataclass(eq=False)
+class RawPoses:
+    """Poses as a file holds them, nothing left out.
+
+    Attributes
+    ----------
+    poses : (N, 7), x, y, z (m), qx, qy, qz, qw; or (N, 4, 4) matrices.
+    stamps_ns : (N,), None where the file has no times.
+    numbers : (N,) numbers of frames, None where the file has none.
+    findings : what was repaired.
+    lines : how to name a row in a message.
+
+    """
+
+    poses: FloatArray
+    stamps_ns: NDArray[np.int64] | None = None
+    numbers: NDArray[np.int64] | None = None
+    findings: list[Finding] = field(default_factory=list)
+
+
+class ArrayTable:
+    """The rows of a .npy file: as a ``Table`` whose numbers are read already.
+
+    Attributes
+    ----------
+    See ``Table``.
+
+    """
+
+    by_commas, complete = False, True
+
+    def __init__(self, values: FloatArray) -> None:
+        self.headings: list[str] = []
+        self.notes: list[str] = []
+        self.width = values.shape[1]
+        self._values = values
+
+    @classmethod
+    def load(cls, path: Path) -> ArrayTable:
+        """Read a file of shape (N, 4, 4), (N, 3, 4) or one row a pose; times are seconds."""
+        try:
+            array = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        except Exception as error:
+            # NumPy raises whatever a damaged header happens to hit.
+            raise SourceError(f'{path} cannot be read as an array of numbers ({error})') from error
+        if array.ndim == 3 and array.shape[1:] in ((3, 4), (4, 4)):
+            array = array.reshape(len(array), -1)
+        if array.ndim != 2 or not array.size:
+            raise SourceError(f'{path} holds an array of shape {array.shape}; needed (N, 4, 4), '
+                              '(N, 3, 4) or one row a pose')
+        return cls(array)
+
+    def read_numbers(
+        self, columns: list[int], time_column: int | None = None, decimals: int = 0,
+    ) -> Numbers:
+        """Return columns as ``Table.read_numbers`` does."""
+        stamps_ns = np.zeros(len(self._values), dtype=np.int64)
+        if time_column is not None:
+            time = self._values[:, time_column]
+            usable = np.abs(time) < 9.2e18 / 10 ** (9 - decimals)
+            stamps_ns[usable] = np.rint(time[usable] * 10 ** (9 - decimals)).astype(np.int64)
+        return Numbers(self._values[:, columns], stamps_ns, np.full(len(stamps_ns), -1))
+
+    def sample(self) -> FloatArray:
+        """Return all rows."""
+        return self._values
+
+    def line_number(self, row: int) -> int:
+        """Return the number of a row, from 1."""
+        return row + 1
+
+    def drop_last(self) -> None:
+        """Do nothing: no row of an array is cut off."""
+
+
+def structure_of(path: Path, beginning: bytes) -> str | None:
+    """Return which of the ``STRUCTURED`` a file is, None for a table."""
+    if beginning.startswith(b'\x93NUMPY') or path.suffix == '.npy':
+        return 'npy'
+    if path.suffix == '.json' or beginning.lstrip().startswith(b'{'):
+        return 'nerfstudio'
+    if path.suffix == '.g2o' or beginning.lstrip().startswith((b'VERTEX_', b'EDGE_')):
+        return 'g2o'
+    if b'IMAGE_ID' in beginning and b'CAMERA_ID' in beginning:
+        return 'colmap'
+    return None
+
+
+def read_g2o(path: Path, data: bytes) -> RawPoses:
+    """Return the vertices of a pose graph; their ids are numbers of frames."""
+    lines = [line for line in data.split(b'\n') if line.startswith(_VERTEX)]
+    if not lines:
+        planar = ': poses in the plane cannot serve' if b'VERTEX_SE2' in data else ''
+        raise SourceError(f'{path} holds no VERTEX_SE3:QUAT{planar}')
+    table = Table.parse(path, b'\n'.join(lines) + b'\n')
+    if table.fields.width < 9:
+        raise SourceError(f'{path}: a VERTEX_SE3:QUAT needs an id and 7 numbers')
+    # Ids may be as large as 64 bits; the low ones count the poses of a robot.
+    ids = np.array([int(line.split(None, 2)[1]) for line in lines], dtype=np.uint64)
+    order = np.argsort(ids, kind='stable')
+    numbers = (ids[order] & np.uint64(2**48 - 1)).astype(np.int64)
+    return RawPoses(table.read_numbers(list(range(2, 9))).values[order], None, numbers)
+
+
+def read_colmap(path: Path, data: bytes) -> RawPoses:
+    """Return the camera poses of an images.txt, which holds the world in the camera."""
+    rows, names = [], []
+    for line in data.split(b'\n'):
+        words = line.split(None, _COLMAP_COLUMNS - 1)
+        if line.startswith(b'#') or len(words) < _COLMAP_COLUMNS or _is_float(words[-1].split()[0]):
+            continue
+        rows.append(b' '.join(words[1:8]))
+        names.append(words[-1].decode('utf-8', errors='replace').strip())
+    if not rows:
+        raise SourceError(f'{path} holds no images of COLMAP: IMAGE_ID, QW, QX, QY, QZ, TX, TY, '
+                          'TZ, CAMERA_ID, NAME')
+    values = Table.parse(path, b'\n'.join(rows) + b'\n').read_numbers(list(range(7))).values
+    norm = np.linalg.norm(values[:, :4], axis=1, keepdims=True)
+    if not (np.abs(norm - 1) < 1e-2).all():
+        raise SourceError(f'{path}: a quaternion (QW, QX, QY, QZ) is not of norm 1')
+    R = se3.quaternion_to_rotation((values[:, :4] / norm)[:, [1, 2, 3, 0]])
+    poses = se3.inverse(se3.from_rotation_translation(R, values[:, 4:]))
+    return _by_name(poses, names, path)
+
+
+def read_nerfstudio(path: Path, data: bytes) -> RawPoses:
+    """Return the ``transform_matrix`` of each frame of a transforms.json, as it stands.
+
+    Its camera looks along -z with y up.
+    """
+    try:
+        frames = json.loads(data)['frames']
+        poses = np.array([_square(frame['transform_matrix']) for frame in frames], dtype=float)
+        names = [str(frame.get('file_path', '')) for frame in frames]
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise SourceError(f'{path} is no transforms.json with "frames" that have a '
+                          f'"transform_matrix" each ({type(error).__name__}: {error})') from error
+    if poses.shape[1:] != (4, 4):
+        raise SourceError(f'{path} holds no 4 x 4 matrices')
+    return _by_name(poses, names, path)
+
+
+def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
+    stamps_ns, numbers = stamps_in_names(names, path) if names else (None, None)
+    order = np.argsort(numbers if stamps_ns is None and numbers is not None else
+                       stamps_ns if stamps_ns is not None else np.arange(len(poses)))
+    return RawPoses(poses[order], None if stamps_ns is None else stamps_ns[order],
+                    None if numbers is None else numbers[order])
+
+
+def _square(matrix: Any) -> list[list[float]]:
+    """Return a matrix with its last row."""
+    return [*matrix, [0.0, 0.0, 0.0, 1.0]] if len(matrix) == 3 else matrix
+
+
+def _is_float(word: bytes) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,163 @@
+"""Times as they stand in files: their unit, what writers do to them, times in a file of their own.
+
+Each function returns exact integer nanoseconds and notes on what was understood or repaired.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import SourceError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.sources.layouts import TIME_UNITS
+from trajectory_calibration.sources.text import read_bytes, Table
+
+# Times above these cannot be in the units before: since 1970, and no drive lasts 3000 years.
+_EPOCHS = (('ns', 1e17), ('us', 1e14), ('ms', 1e11))
+# What a second has of nanoseconds, microseconds or milliseconds.
+_PARTS = (9, 6, 3)
+_DATE = re.compile(rb'\d{4}-\d\d-\d\d[ T]')
+# Steps that are this much more even speak for a reading of the times.
+_MUCH_MORE_EVEN = 3.0
+# Share of the rows that may repeat the time of another with another pose.
+_MOST_SHARED = 0.1
+_LARGEST_NUMBER = 1e7
+# Rows below which whole seconds are no reason to ask.
+_FEWEST = 10
+
+Stamps = NDArray[np.int64]
+
+
+def unit_of(values: FloatArray) -> str:
+    """Return the unit that the size of (N,) times since 1970 tells; seconds where it does not."""
+    finite = values[np.isfinite(values)]
+    size = float(np.median(np.abs(finite))) if len(finite) else 0.0
+    return next((unit for unit, least in _EPOCHS if size >= least), 's')
+
+
+def repair_unpadded(
+    stamps_ns: Stamps, places: NDArray[np.intp], name: str,
+) -> tuple[Stamps, list[Finding]]:
+    """Undo ``sec.nsec`` that was written without leading zeros, as 12.7 for 12.000000007.
+
+    The lengths of the fractions then differ, and the times, read as decimals, run to and fro.
+    """
+    longest = int(places.max(initial=0))
+    if longest not in _PARTS or int(places.min(initial=0)) == longest or (places < 0).any():
+        return stamps_ns, []
+    tens = 10 ** np.arange(10, dtype=np.int64)
+    seconds = stamps_ns // tens[9]
+    written = (stamps_ns - seconds * tens[9]) // tens[9 - places]
+    repaired = seconds * tens[9] + written * tens[9 - longest]
+    if not _is_better(repaired, stamps_ns):
+        return stamps_ns, []
+    count = int(np.count_nonzero(repaired != stamps_ns))
+    return repaired, [Finding(
+        'stamps-unpadded',
+        f'{name}: {count} of {len(stamps_ns)} times have fractions without leading zeros '
+        '(sec.nsec): repaired', {'stamps': count})]
+
+
+def _is_better(new: Stamps, old: Stamps) -> bool:
+    steps_new, steps_old = np.diff(new).astype(float), np.diff(old).astype(float)
+    if (steps_new <= 0).any():
+        return False
+    uneven_new, uneven_old = (
+        float(np.mean(np.abs(steps - np.median(steps)))) for steps in (steps_new, steps_old))
+    return bool((steps_old <= 0).any()) or uneven_old > _MUCH_MORE_EVEN * uneven_new
+
+
+def require_own_stamps(
+    stamps_ns: Stamps, poses: FloatArray, name: str,
+    advice: str = 'write them with nine decimals (%.9f)',
+) -> None:
+    """Raise SourceError where many poses share their time with another pose.
+
+    ``poses`` are (N, ...) numbers. Rows that are repeated as a whole are harmless.
+    """
+    count = len(stamps_ns)
+    order = np.argsort(stamps_ns, kind='stable')
+    ordered, rows = stamps_ns[order], poses[order].reshape(count, -1)
+    shared = (ordered[1:] == ordered[:-1]) & (rows[1:] != rows[:-1]).any(axis=1)
+    found = int(np.count_nonzero(shared))
+    if found < 2 or found <= _MOST_SHARED * count:
+        return
+    distinct = np.unique(stamps_ns)
+    if len(distinct) == 1:
+        raise SourceError(f'{name}: all {count} poses have the same time, '
+                          f'{distinct[0] * 1e-9:.9g} s; needed the time of each pose')
+    step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
+    digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
+    raise SourceError(
+        f'{name}: {found} of {count} poses share their time with another: the times are rounded '
+        f'to {step:.3g} s ({digits} digits); {advice}')
+
+
+def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> list[Finding]:
+    """Return a question where the times, read as seconds, look like numbers of frames."""
+    whole = len(stamps_ns) >= _FEWEST and (places == 0).all() and stamps_ns[0] >= 0
+    if not whole or stamps_ns[-1] > _LARGEST_NUMBER * 1e9 or (np.diff(stamps_ns) <= 0).any():
+        return []
+    first = ', '.join(str(int(stamp) // 10**9) for stamp in stamps_ns[:3])
+    return [Finding(
+        'stamps-are-numbers',
+        f'{name}: are its times {first}, ... numbers of frames? They were read as seconds; give '
+        'the times with --times (one a line)')]
+
+
+def read_times(
+    path: Path, unit: str | None,
+) -> tuple[Stamps, NDArray[np.bool_], list[str]]:
+    """Return the times of a file, one a line, which of them are not finite, and notes.
+
+    Seconds, or another unit that their size tells, or dates as KITTI writes them; what follows
+    the time in a line is ignored. Blank and comment lines are skipped.
+
+    Raises
+    ------
+    SourceError
+        A line holds no time.
+
+    """
+    data = read_bytes(path)
+    lines = [line.strip() for line in data.split(b'\n')
+             if line.strip() and not line.lstrip().startswith((b'#', b'%'))]
+    if lines and _DATE.match(lines[0]):
+        try:
+            dates = np.array([line[:29].decode() for line in lines], dtype='datetime64[ns]')
+        except ValueError as error:
+            raise SourceError(f'{path} holds dates that cannot be read: {error}') from error
+        return dates.astype(np.int64), np.isnat(dates), []
+    words = [re.split(rb'[,;\s]', line, maxsplit=1)[0] for line in lines]
+    if words and not re.match(rb'[-+.\d]|nan$', words[0]):
+        words = words[1:]
+    table = Table.parse(path, b'\n'.join(words) + b'\n')
+    stamps_ns, missing = stamps_of(table, unit)
+    return stamps_ns, missing, table.notes
+
+
+def stamps_of(table: Table, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
+    """Return the (N,) nanoseconds of a table of times, and which of them are not finite."""
+    values = table.read_numbers([0]).values[:, 0]
+    numbers = table.read_numbers([0], 0, TIME_UNITS[unit or unit_of(values)])
+    return numbers.stamps_ns, ~np.isfinite(values)
+
+
+def stamps_in_names(names: list[str], path: Path) -> tuple[Stamps | None, Stamps | None]:
+    """Return (N,) times, or else (N,) numbers of frames, that names of image files hold."""
+    stems = [re.sub(r'\.(png|jpe?g|pgm|bmp|tiff?|exr|webp|ppm)$', '', name.rpartition('/')[2],
+                    flags=re.IGNORECASE) for name in names]
+    words = [(re.findall(r'\d+(?:\.\d+)?', stem) or [''])[-1] for stem in stems]
+    if not all(words):
+        return None, None
+    table = Table.parse(path, '\n'.join(words).encode() + b'\n')
+    stamps_ns, _ = stamps_of(table, None)
+    if all(word == stem for word, stem in zip(words, stems, strict=True)) and (
+            np.abs(stamps_ns) >= 1e8 * 1e9).all():
+        return stamps_ns, None
+    return None, stamps_ns // 10**9
