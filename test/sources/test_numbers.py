@@ -30,7 +30,7 @@ NUMBERS = (decimals() | st.floats().map(repr) | st.floats(-1e3, 1e3).map('{:.9f}
            | st.floats(-1e3, 1e3).map('{:.18e}'.format) | st.sampled_from(['nan', '-inf']))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(NUMBERS, min_size=3, max_size=3 * 8).map(lambda x: x[:len(x) // 3 * 3]))
 def test_floats_are_those_of_python(words):
     rows = [words[k:k + 3] for k in range(0, len(words), 3)]
@@ -41,7 +41,7 @@ def test_floats_are_those_of_python(words):
     np.testing.assert_array_equal(fields.read([2, 0])[0], np.array(expected)[:, [2, 0]])
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.lists(decimals(), min_size=1, max_size=5), st.sampled_from([0, 3, 6, 9]))
 def test_times_are_exact(words, unit):
     exact = [round(Decimal(word).scaleb(9 - unit)) for word in words]

@@ -243,7 +243,7 @@ class FileSource:
         raw.findings += [Finding('input-repaired', f'{self._name}: {note}') for note in notes]
         poses, count = len(raw.poses), len(stamps_ns)
         numbers = raw.numbers
-        if numbers is not None and poses != count and 0 <= numbers[0] and numbers[-1] < count:
+        if numbers is not None and poses != count and numbers[0] >= 0 and numbers[-1] < count:
             raw.poses[missing[numbers]] = np.nan
             return replace(raw, stamps_ns=stamps_ns[numbers])
         # A last line that was cut off has left one of the two files a row shorter.

@@ -124,13 +124,12 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
             role = _role(name)
             if role is not None:
                 found.setdefault(role, []).append(column)
-        if len(names) > width or _layout({role: 0 for role in found}, '') is None:
+        if len(names) > width or _layout(dict.fromkeys(found, 0), '') is None:
             continue
         roles = {}
-        for role, columns in found.items():
-            if len(columns) > 1:
-                # The time of a message is that of its header, not that of its reception.
-                columns = [k for k in columns if 'header' in names[k]] or columns
+        for role, named in found.items():
+            # The time of a message is that of its header, not that of its reception.
+            columns = [k for k in named if 'header' in names[k]] or named
             if len(columns) > 1:
                 raise SourceError(
                     f'the heading names {len(columns)} columns for {role}: '
@@ -197,8 +196,10 @@ def from_numbers(
 def _nanoseconds(sample: FloatArray) -> bool:
     """Tell whether the first column counts nanoseconds."""
     time = sample[:, 0]
+    if not (time == np.rint(time)).all():
+        return False
     step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
-    return bool(not np.isnan(time).any() and (time == np.rint(time)).all() and (time[0] >= 1e17 or step >= _STEP_NS))
+    return bool(time[0] >= 1e17 or step >= _STEP_NS)
 
 
 def _candidates(width: int, *, timed: bool) -> list[Layout]:
@@ -265,7 +266,7 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
 def _counts(values: FloatArray) -> bool:
     """Tell whether values are numbers of frames: whole, rising, never far from zero."""
     whole = np.isfinite(values).all() and (values == np.rint(values)).all()
-    return bool(whole and (np.diff(values) > 0).all() and 0 <= values[0] and values[-1] < 1e8)
+    return bool(whole and (np.diff(values) > 0).all() and values[0] >= 0 and values[-1] < 1e8)
 
 
 def _hint(sample: FloatArray) -> str:
@@ -324,8 +325,9 @@ def _layout(roles: dict[str, int], source: str, *, angles: bool = False) -> Layo
 
 
 # Words in the name of a column that belong to something else than the pose and its time.
-_FOREIGN = {'acc', 'accel', 'acceleration', 'angular', 'b', 'ba', 'bg', 'bias', 'cov', 'covariance',
-            'gyro', 'linear', 'omega', 'sigma', 'std', 'twist', 'v', 'vel', 'velocity'}
+_FOREIGN = {'acc', 'accel', 'acceleration', 'angular', 'b', 'ba', 'bg', 'bias', 'cov',
+            'covariance', 'gyro', 'linear', 'omega', 'sigma', 'std', 'twist', 'v', 'vel',
+            'velocity'}
 _OF_POSITION = {'', 'p', 'pos', 'position', 't', 'trans', 'translation', 'pose'}
 _OF_QUATERNION = {'q', 'quat', 'quaternion', 'orientation', 'ori', 'rot', 'rotation', 'attitude'}
 _TIMES = {'t', 'time', 'timestamp', 'timestamps', 'stamp', 'utime', 'times'}

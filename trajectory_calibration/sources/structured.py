@@ -132,7 +132,8 @@ def read_colmap(path: Path, data: bytes) -> RawPoses:
     rows, names = [], []
     for line in data.split(b'\n'):
         words = line.split(None, _COLMAP_COLUMNS - 1)
-        if line.startswith(b'#') or len(words) < _COLMAP_COLUMNS or _is_float(words[-1].split()[0]):
+        if line.startswith(b'#') or len(words) < _COLMAP_COLUMNS or (
+                _is_float(words[-1].split()[0])):
             continue
         rows.append(b' '.join(words[1:8]))
         names.append(words[-1].decode('utf-8', errors='replace').strip())

@@ -111,15 +111,8 @@ class Table:
         parts = [self.fields.part(slice(0, _SAMPLE))]
         if len(self.fields) > _SAMPLE:
             parts.append(self.fields.part(slice(max(_SAMPLE, len(self.fields) - _SAMPLE), None)))
-        columns = []
-        for column in range(self.width):
-            try:
-                columns.append(np.concatenate([part.read([column]).values for part in parts]))
-            except NotANumberError:
-                columns.append(np.array([
-                    [float(word) if _is_number(word.encode()) else np.nan]
-                    for part in parts for word in (part.word(k, column) for k in range(len(part)))]))
-        return np.hstack(columns)
+        return np.concatenate([np.stack(
+            [_floats(part, column) for column in range(self.width)], axis=1) for part in parts])
 
     def line_number(self, row: int) -> int:
         """Return the line of a row in the file, from 1."""
@@ -239,6 +232,15 @@ def _is_number(field: bytes) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _floats(fields: Fields, column: int) -> FloatArray:
+    """Return the (N,) numbers of a column; NaN for words."""
+    try:
+        return fields.read([column]).values[:, 0]
+    except NotANumberError:
+        words = [fields.word(row, column) for row in range(len(fields))]
+        return np.array([float(word) if _is_number(word.encode()) else np.nan for word in words])
 
 
 def _like_a_topic(path: Path) -> bool:
