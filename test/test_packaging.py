@@ -115,7 +115,7 @@ def test_colcon(tmp_path):
     version = run(
         'bash', '-c', f'source install/setup.bash && install/{NAME}/lib/{NAME}/{NAME} --version',
         cwd=tmp_path, **prefix)
-    assert version.strip() == trajectory_calibration.__version__
+    assert version.strip() == f'{NAME} {trajectory_calibration.__version__}'
     run(*colcon, 'test', '--return-code-on-test-failure', '--pytest-args',
         'test/test_packaging.py', '-k', 'version or package_xml', cwd=tmp_path, **prefix)
     summary = run(*colcon, 'test-result', cwd=tmp_path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
+from importlib import import_module
 import os
 from pathlib import Path
 import re
@@ -23,7 +24,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
-from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
+from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -134,6 +135,20 @@ class CalibrationResult:
     def absolute_errors(self, T_a_b_true: ArrayLike) -> AbsoluteErrors:
         """Return e_at (m) and e_aR (rad) against a known (4, 4) extrinsic."""
         return absolute_errors(self.T_a_b, np.asarray(T_a_b_true, dtype=np.float64))
+
+    def __str__(self) -> str:
+        return str(_shown_by('screen').format_result(self)).rstrip('\n')
+
+    def _repr_html_(self) -> str:
+        """Return the verdict box, which notebooks show."""
+        return str(_shown_by('report').render_box(self))
+
+    def plot(self, a: Trajectory | None = None, b: Trajectory | None = None) -> Any:
+        """Return a Matplotlib figure: the deviations; with both trajectories what they show.
+
+        Needs the extra ``plot``. Save it with ``figure.savefig``.
+        """
+        return _shown_by('plots').plot(self, a, b)
 
     def to_dict(self, T_a_b_true: ArrayLike | None = None) -> dict[str, Any]:
         """Return plain data, ready for JSON or YAML; keys that do not apply are None.
@@ -269,6 +284,11 @@ class CalibrationResult:
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no calibration result; needed what save() wrote')
         return cls.from_dict(data)
+
+
+def _shown_by(module: str) -> Any:
+    """Return a module of ``outputs``, which imports this one: loaded when somebody looks."""
+    return import_module(f'trajectory_calibration.outputs.{module}')
 
 
 def _of_kind(kind: type[_T], value: Any) -> _T:

@@ -5,17 +5,29 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+import sys
 
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.report import (
+    add_truth_argument,
+    EXIT_OPEN,
+    plot_paths,
+    read_truth,
+    require_new,
+    write_failure,
+    write_pages,
+)
 from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_yaml
-from trajectory_calibration.errors import ResultError
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
-from trajectory_calibration.outputs.screen import format_result
+from trajectory_calibration.outputs.exports import write_exports
+from trajectory_calibration.outputs.screen import format_result, format_transform
+from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.sources.files import read_transform
 
 RESULT_FILE = 'result.yaml'
 TRANSFORM_FILE = 'T_a_b.txt'
@@ -26,15 +38,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         'calibrate', help='find the extrinsic of two trajectories',
         usage='%(prog)s [options] A B',
-        description='Find the pose of sensor b in sensor a from two trajectories.')
+        description='Find the pose of sensor b in sensor a from two trajectories.',
+        epilog='Exit status: 0 done; 3 done, but a direction is unknown; 1 no answer; 2 wrong '
+        'usage.')
     add_input_arguments(parser)
-    parser.add_argument(
-        '--ground-truth', type=Path, metavar='FILE',
-        help='known pose of b in a, one row [t] x y z qx qy qz qw or a saved result (.yaml)')
-    parser.add_argument(
-        '--format', choices=('text', 'json', 'yaml'), default='text', help='of the output')
-    parser.add_argument(
-        '--output', type=Path, metavar='DIR', help='folder to write the result to')
+    add_truth_argument(parser)
+    group = parser.add_argument_group('output')
+    group.add_argument(
+        '--format', choices=('text', 'json', 'yaml'), default='text', help='on the screen')
+    group.add_argument(
+        '-v', '--verbose', action='store_true', help='show all findings and how it was made')
+    group.add_argument(
+        '-q', '--quiet', action='store_true', help='show the transform alone: x y z qx qy qz qw')
+    group.add_argument(
+        '--output', type=Path, metavar='DIR',
+        help='folder for the result (result.yaml) and its exports (URDF, static transform, ...)')
+    group.add_argument(
+        '--report', type=Path, metavar='FILE.html', help='page that shows what the answer rests '
+        'on; written also where there is no answer')
+    group.add_argument(
+        '--plots', type=Path, metavar='DIR', help='folder for figures as PNG, SVG and PDF')
+    group.add_argument('--force', action='store_true', help='overwrite files')
     add_config_options(parser)
     parser.set_defaults(run=run)
 
@@ -42,24 +66,42 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate and print the result."""
     config = config_from_arguments(arguments)
-    truth = None if arguments.ground_truth is None else _read_truth(arguments.ground_truth)
-    trajectory_a, trajectory_b = load_pair(arguments)
-    with running_clock('calibrating'):
-        result = calibrate(trajectory_a, trajectory_b, config)
+    require_new(_files(arguments), force=arguments.force)
+    loaded: tuple[Trajectory, ...] = ()
+    try:
+        loaded = a, b = load_pair(arguments)
+        truth = read_truth(arguments.ground_truth, a.sensor_frame, b.sensor_frame)
+        with running_clock('calibrating'):
+            result = calibrate(a, b, config)
+    except ConfigError:
+        # Wrong usage says nothing of the data.
+        raise
+    except CalibrationError as error:
+        if arguments.report is not None:
+            write_failure(error, loaded, config, arguments)
+            print(f'wrote {arguments.report}', file=sys.stderr)
+        raise
+    written = []
     if arguments.output is not None:
         _write(result, truth, arguments.output)
-    _print(result, truth, arguments.format)
-    return 0
+        written.append(arguments.output)
+    written += write_pages(result, a, b, truth, arguments, arguments.report)
+    _print(result, truth, arguments, written)
+    return EXIT_OPEN if result.observability.unobserved else 0
 
 
-def _read_truth(path: Path) -> FloatArray:
-    if path.suffix in ('.yaml', '.yml'):
-        return CalibrationResult.load(path).T_a_b
-    return read_transform(path)
+def _files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that will be written, but for the exports beside a result."""
+    files = plot_paths(arguments.plots)
+    if arguments.output is not None:
+        files += [arguments.output / RESULT_FILE, arguments.output / TRANSFORM_FILE]
+    if arguments.report is not None:
+        files.append(arguments.report)
+    return files
 
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
-    """Write the result, then the bare transform as one row that other tools read."""
+    """Write the result, the bare transform as one row that other tools read, and the exports."""
     t, q = result.T_a_b[:3, 3], rotation_to_quaternion(result.T_a_b[:3, :3])
     lines = [f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw']
     if result.observability.unobserved:
@@ -69,6 +111,8 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         folder.mkdir(parents=True, exist_ok=True)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
+        if result.frame_a != result.frame_b:
+            write_exports(result, folder)
     except OSError as error:
         raise ResultError(
             f'{folder} cannot be written: {error.strerror or error}; give another --output'
@@ -77,10 +121,20 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         raise ResultError(f'{error}; give another --output') from error
 
 
-def _print(result: CalibrationResult, truth: FloatArray | None, output_format: str) -> None:
-    if output_format == 'json':
+def _print(
+    result: CalibrationResult, truth: FloatArray | None, arguments: argparse.Namespace,
+    written: list[Path],
+) -> None:
+    if arguments.format == 'json':
         print(json.dumps(result.to_dict(truth)))
-    elif output_format == 'yaml':
+    elif arguments.format == 'yaml':
         print(to_yaml(result.to_dict(truth)), end='')
+    elif arguments.quiet:
+        print(format_transform(result), end='')
     else:
-        print(format_result(result, truth), end='')
+        print(format_result(
+            result, truth, verbose=arguments.verbose, terminal=Terminal.of()), end='')
+        if written:
+            print()
+        for path in written:
+            print(f'wrote {path}')

@@ -12,6 +12,7 @@ from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
+from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.sources.files import FileSource, FORMATS, is_bag
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
-        print('\n'.join(format_inspection(item) for item in inputs), end='')
+        print('\n'.join(format_inspection(item, Terminal.of()) for item in inputs), end='')
     if errors:
         # What was found comes first, also where both go to one terminal.
         print(end='', flush=True)

@@ -1,3 +1,4 @@
+# PYTHON_ARGCOMPLETE_OK
 """The console script ``trajectory_calibration``."""
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from trajectory_calibration.cli import (
     fleet,
     inspect,
     replay,
+    report,
     simulate,
     verify,
 )
@@ -25,7 +27,7 @@ from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (calibrate, export, fleet, inspect, replay, simulate, verify)
+_COMMANDS = (calibrate, report, inspect, export, verify, fleet, simulate, replay)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1
@@ -45,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit status: 0 done, 1 the data cannot give an answer, 2 wrong usage.
+        The exit status: 0 done, 1 the data cannot give an answer, 2 wrong usage, 3 done but a
+        direction of the answer is open, 4 an extrinsic no longer holds.
 
     """
     return guarded(_run, sys.argv[1:] if argv is None else argv)
@@ -80,12 +83,23 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 
 
 def _run(argv: Sequence[str]) -> int:
+    parser = _parser()
+    if '_ARGCOMPLETE' in os.environ:
+        _complete(parser)
     try:
-        arguments = _parser().parse_args(split_bags(join_negative_values(argv)))
+        arguments = parser.parse_args(split_bags(join_negative_values(argv)))
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
+    arguments.argv = list(argv)
     status: int = arguments.run(arguments)
     return status
+
+
+def _complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that completes a command, where the extra ``completion`` is installed."""
+    with suppress(ModuleNotFoundError):
+        import argcomplete
+        argcomplete.autocomplete(parser)
 
 
 def _fail(reason: str, status: int) -> int:
@@ -103,7 +117,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='trajectory_calibration',
         description='Find the pose of sensor b in sensor a from their trajectories.')
-    parser.add_argument('--version', action='version', version=__version__)
+    parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in _COMMANDS:
         command.add_parser(subparsers)

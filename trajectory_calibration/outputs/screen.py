@@ -3,65 +3,159 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-import textwrap
 from typing import Any
 
 import numpy as np
 
 from trajectory_calibration.assessment.excitation import UNKNOWN
-from trajectory_calibration.assessment.observability import Observability, OBSERVED
+from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import answer_rows, digits_of, number, Row
+from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
-
-# Columns of a terminal, and of them the most that a label takes: a longer one has its own line.
-_WIDTH = 80
-_LONGEST_LABEL = 30
 
 _KNOWN = 0.5 * UNKNOWN
 
+# Findings that are shown without -v.
+_MOST_FINDINGS = 3
 
-def format_result(result: CalibrationResult, T_a_b_true: FloatArray | None = None) -> str:
-    """Return the screen of a result: warnings, the transform, how good it is, how it was made."""
+
+def format_result(
+    result: CalibrationResult, T_a_b_true: FloatArray | None = None, *, verbose: bool = False,
+    terminal: Terminal | None = None,
+) -> str:
+    """Return the screen of a result: the answer, then what a person should know of it.
+
+    Parameters
+    ----------
+    result : CalibrationResult
+        To show.
+    T_a_b_true : (4, 4), optional
+        Known extrinsic: adds the error of each number.
+    verbose : bool
+        All findings, and how the answer was made.
+    terminal : Terminal, optional
+        Width and colours; plain text of 99 columns where omitted.
+
+    """
+    terminal = terminal or Terminal()
+    rows = answer_rows(result, T_a_b_true)
     a, b = result.frame_a, result.frame_b
-    R, t = result.T_a_b[:3, :3], result.T_a_b[:3, 3]
-    rows = {
-        'translation': f'{_named(t, "xyz", 4)} m',
-        'quaternion': _named(se3.rotation_to_quaternion(R), 'xyzw', 6),
-        'rotation': f'{_named(roll_pitch_yaw_deg(R), ("roll", "pitch", "yaw"), 3)} deg',
-    }
+    lines = [terminal.paint(f'Pose of {b} in {a}', 'head')
+             + terminal.paint(f'   p_{a} = T p_{b}', 'soft')]
+    lines += _answer(rows, terminal)
+    if T_a_b_true is not None:
+        error = result.absolute_errors(T_a_b_true)
+        unknown = result.observability.unobserved
+        without = ' (unknown directions count)' if unknown else ''
+        lines.append(f'  error against the ground truth: {error.e_at:.4f} m, '
+                     f'{np.rad2deg(error.e_aR):.3f} deg{without}')
+    lines += _legend(result, terminal)
+    findings = worst_first(result.findings)
+    shown = findings if verbose else findings[:_MOST_FINDINGS]
+    if shown:
+        lines.append('')
+        lines += [line for found in shown for line in _finding(found, terminal)]
+    if len(shown) < len(findings):
+        lines.append(f'and {len(findings) - len(shown)} more: -v')
+    if verbose:
+        lines += ['', *terminal.aligned(_details(result))]
+    return '\n'.join(lines) + '\n'
+
+
+def format_transform(result: CalibrationResult) -> str:
+    """Return 'x y z qx qy qz qw' in one line; what is not determined reads 'unknown'."""
+    rows = answer_rows(result)
+    words = [f'{value + 0.0:.9f}' if row.is_known else 'unknown'
+             for value, row in zip(result.T_a_b[:3, 3], rows[:3], strict=True)]
+    quaternion = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
+    known = all(row.is_known for row in rows[3:])
+    words += [f'{value + 0.0:.9f}' if known else 'unknown' for value in quaternion]
+    return ' '.join(words) + '\n'
+
+
+def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
+    """Return the six numbers in columns, the points below each other."""
+    values = [number(row.value, row.std, row.unit) if row.is_known else 'unknown' for row in rows]
+    before = max(len(value.partition('.')[0]) for value in values if '.' in value) \
+        if any('.' in value for value in values) else 0
+    before = max(before, 4)
+    after = max([len(value.partition('.')[2]) for value in values] + [3])
+    lines = []
+    for row, value in zip(rows, values, strict=True):
+        if row.is_known:
+            whole, _, digits = value.partition('.')
+            shown = f'{whole:>{before}}.{digits:<{after}}'
+            std = '' if row.std is None else f'+- {row.std:.{digits_of(row.std, row.unit)}f}'
+            unit = row.unit
+        else:
+            shown, std, unit = f'{"unknown":>{before + after + 1}}', '', ''
+        line = f'  {row.name:<5} {shown} {std:<{after + 6}} {unit:<3}  '
+        mark = terminal.paint(f'{row.word:<7}', row.word)
+        lines.append((line + mark + _error(row)).rstrip())
+    return lines
+
+
+def _error(row: Row) -> str:
+    if row.error is None or not row.is_known:
+        return ''
+    sigma = f' = {abs(row.error) / row.std:.1f} sigma' if row.std else ''
+    return f'  error {row.error:+.{digits_of(row.std, row.unit)}f} {row.unit}{sigma}'
+
+
+def _legend(result: CalibrationResult, terminal: Terminal) -> list[str]:
+    config = result.config
+    prior = '; prior: given beforehand' if 'prior' in result.observability.status.values() else ''
+    text = (f'+-: 1 standard deviation. ok: at most {config.weak_translation:g} m, '
+            f'{config.weak_rotation:g} deg; weak: more; unknown: not determined{prior}.')
+    return [terminal.paint(line, 'soft') for line in terminal.wrapped(text, '  ', '  ')]
+
+
+def _finding(found: Finding, terminal: Terminal) -> list[str]:
+    lines = terminal.wrapped(f'{found.level}: {" ".join(found.text.split())}', '', '  ')
+    head = f'{found.level}:'
+    lines[0] = terminal.paint(head, found.level) + lines[0][len(head):]
+    return lines
+
+
+def _details(result: CalibrationResult) -> dict[str, str]:
+    """Return how the answer was made, by the name of each thing."""
+    a, b = result.frame_a, result.frame_b
+    rows = {'quaternion': _named(
+        se3.rotation_to_quaternion(result.T_a_b[:3, :3]), 'xyzw', 6)}
     if result.covariance is not None:
         words = [f'{name} {word}' for name, word in zip(
             'xyzxyz', deviation_words(result.covariance), strict=True)]
-        rows['1 sigma along'] = f'{"  ".join(words[:3])} m'
-        rows['1 sigma about'] = f'{"  ".join(words[3:])} deg'
-    rows['observed'] = _describe_status(result.observability)
+        rows['translation std'] = f'{"  ".join(words[:3])} m, along the axes of {a}'
+        rows['rotation std'] = f'{"  ".join(words[3:])} deg, about the axes of {a}'
     reference = result.reference or result.config.reference
-    rows['relative error'] = (
-        f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg, mean over the '
-        f'motions at {reference}')
-    if T_a_b_true is not None:
-        error = result.absolute_errors(T_a_b_true)
-        rows['absolute error'] = (f'{error.e_at:.4f} m, {np.rad2deg(error.e_aR):.3f} deg, '
-                                  'against the ground truth')
-    rows['turned about'] = (
-        f'{_named(result.observability.excitation_deg, "xyz", 2)} deg rms per motion, axes of {a}')
+    rows['fit residual'] = (
+        f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
+        f'{reference_words(reference)} (not the accuracy)')
+    rows['rotation'] = (f'{_named(result.observability.excitation_deg, "xyz", 2)} deg rms per '
+                        f'motion, about the axes of {a}')
     rows['data'] = _describe_data(result)
     if result.scale != 1.0:
         rows['scale'] = f'{_describe_scale(result)} on the translations of {b}'
     if result.time_offset_s:
-        rows['time offset'] = f'{_fixed(result.time_offset_s, 4)} s on {b}'
+        rows['clock offset'] = f'{fixed(result.time_offset_s, 4)} s added to the stamps of {b}'
     if result.clock_drift:
         rows['clock drift'] = f'{1e6 * result.clock_drift:+.1f} ppm on {b}, zero in its middle'
     rows['method'] = f'{result.config.solver}, version {result.version}'
-    rows['reference'] = result.reference_choice or reference
-    lines = [line for warning in result.warnings
-             for line in _wrapped(f'warning: {warning}', '', '  ')]
-    if lines:
-        lines.append('')
-    lines.append(f'Pose of {b} in {a}')
-    lines += _aligned(rows)
-    return '\n'.join(lines) + '\n'
+    if result.reference_choice:
+        rows['reference'] = result.reference_choice
+    return rows
+
+
+def reference_words(reference: str) -> str:
+    """Return what the motions of a reference are over: 'of 5 poses'."""
+    letter, count = reference[:1], reference[1:]
+    if letter == 'B':
+        return f'of {count} poses' if count != '1' else 'from pose to pose'
+    if letter == 'C':
+        return f'from the first of each {count} poses'
+    return 'from the first pose'
 
 
 def deviation_words(covariance: FloatArray) -> list[str]:
@@ -71,16 +165,17 @@ def deviation_words(covariance: FloatArray) -> list[str]:
     more than 'unknown'.
     """
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    words = [_fixed(value, 4) for value in sigma[:3]]
-    words += [_fixed(value, 3) for value in np.rad2deg(sigma[3:])]
+    words = [fixed(value, 4) for value in sigma[:3]]
+    words += [fixed(value, 3) for value in np.rad2deg(sigma[3:])]
     # Written so that NaN is unknown.
     known = sigma < _KNOWN
     return [word if is_known else 'unknown' for word, is_known in zip(words, known, strict=True)]
 
 
-def format_inspection(found: dict[str, Any]) -> str:
+def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -> str:
     """Return the screen of what was found in one file or bag."""
-    lines = [found['path'], *_warnings(found['notes'])]
+    terminal = terminal or Terminal()
+    lines = [found['path'], *_warnings(found['notes'], terminal)]
     for item in found['trajectories']:
         # A file is its trajectory; a bag holds several.
         if item['name'] != found['path']:
@@ -91,8 +186,8 @@ def format_inspection(found: dict[str, Any]) -> str:
             read = f' in the last of {messages} messages'
         gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
                 else 'no gaps')
-        lines += _warnings(item['warnings'])
-        lines += _aligned({
+        lines += _warnings(item['warnings'], terminal)
+        lines += terminal.aligned({
             'frames': ('not named in the file' if item['sensor_frame'] is None
                        else f'{item["sensor_frame"]} in {item["world_frame"]}'),
             'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
@@ -103,22 +198,10 @@ def format_inspection(found: dict[str, Any]) -> str:
         })
     if found['other']:
         lines += ['', 'Topics that cannot serve']
-        lines += _aligned({
+        lines += terminal.aligned({
             item['topic']: item.get('error') or f'{item["msgtype"]}, {item["messages"]} messages'
             for item in found['other']})
     return '\n'.join(lines) + '\n'
-
-
-def _describe_status(observability: Observability) -> str:
-    """Return which directions the motion determined, and which badly or not."""
-    by_status: dict[str, list[str]] = {}
-    for name, status in observability.status.items():
-        by_status.setdefault(status, []).append(name)
-    observed = by_status.pop(OBSERVED, [])
-    if not by_status:
-        return 'all six directions'
-    rest = '; '.join(f'{status}: {", ".join(names)}' for status, names in by_status.items())
-    return f'{", ".join(observed) or "none"}; {rest}'
 
 
 def _describe_scale(result: CalibrationResult) -> str:
@@ -132,51 +215,23 @@ def _describe_scale(result: CalibrationResult) -> str:
 def _describe_data(result: CalibrationResult) -> str:
     summary = result.association
     kept = '' if result.inliers is None else f', {np.count_nonzero(result.inliers)} kept'
-    return (f'{result.poses} pairs ({summary.method}) of {summary.poses_a} and '
+    one, other = ('a', 'b') if summary.stamps_of == 'b' else ('b', 'a')
+    how = (f'{one} interpolated at the stamps of {other}' if summary.method == 'interpolate'
+           else 'nearest stamps')
+    return (f'{result.poses} pose pairs ({how}) of {summary.poses_a} and '
             f'{summary.poses_b} poses, {result.motions} motions{kept}')
-
-
-def roll_pitch_yaw_deg(R: FloatArray) -> FloatArray:
-    """Return the angles about the fixed x, then y, then z axis, as URDF and tf write them."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        # Roll and yaw turn about the same axis there; yaw takes none of it.
-        roll, yaw = np.arctan2(-R[1, 2], R[1, 1]), 0.0
-    else:
-        roll, yaw = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
-    angles: FloatArray = np.rad2deg(np.array([roll, pitch, yaw]))
-    return angles
 
 
 def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
     return '  '.join(
-        f'{name} {_fixed(value, digits)}' for name, value in zip(names, values, strict=True))
+        f'{name} {fixed(value, digits)}' for name, value in zip(names, values, strict=True))
 
 
-def _fixed(value: float, digits: int) -> str:
+def fixed(value: float, digits: int) -> str:
     """Return a number with so many decimals, and no minus before a zero."""
     return f'{round(float(value), digits) + 0.0:.{digits}f}'
 
 
-def _warnings(warnings: Iterable[str]) -> list[str]:
+def _warnings(warnings: Iterable[str], terminal: Terminal) -> list[str]:
     return [line for warning in warnings
-            for line in _wrapped(f'warning: {warning}', '  ', '    ')]
-
-
-def _wrapped(text: str, first: str, rest: str) -> list[str]:
-    """Break a text into lines of the width of a terminal, paths and names left whole."""
-    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=rest,
-                         break_long_words=False, break_on_hyphens=False)
-
-
-def _aligned(rows: dict[str, str]) -> list[str]:
-    """Return labels and values in two columns, long values broken under their own column."""
-    width = min(max(map(len, rows)), _LONGEST_LABEL)
-    lines = []
-    for name, value in rows.items():
-        head = f'  {name:<{width}}  '
-        if len(name) > width:
-            lines.append(head.rstrip())
-            head = ' ' * (width + 4)
-        lines += _wrapped(value, head, ' ' * (width + 4))
-    return lines
+            for line in terminal.wrapped(f'warning: {warning}', '  ', '    ')]

@@ -1,0 +1,138 @@
+"""``trajectory_calibration report``: the HTML page and the plots of a saved result."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from pathlib import Path
+import shlex
+from typing import TYPE_CHECKING
+
+from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
+from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.extrinsic_file import FORMS, read_extrinsic
+from trajectory_calibration.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from trajectory_calibration.outputs.report import Record
+
+# Done, but a direction of the answer is open.
+EXIT_OPEN = 3
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'report', help='write the HTML report of a saved result',
+        usage='%(prog)s [options] RESULT A B',
+        description='Write one HTML page that shows what a saved result rests on, from the two '
+        'trajectories that it was made from. docs/report.md explains every figure.')
+    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
+    add_input_arguments(parser)
+    add_truth_argument(parser)
+    parser.add_argument(
+        '--output', type=Path, metavar='FILE',
+        help='page to write (default: RESULT with the ending .html)')
+    parser.add_argument(
+        '--plots', type=Path, metavar='DIR', help='folder for the figures as PNG, SVG and PDF')
+    parser.add_argument('--force', action='store_true', help='overwrite files')
+    parser.set_defaults(run=run)
+
+
+def add_truth_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--ground-truth``."""
+    parser.add_argument(
+        '--ground-truth', metavar='FILE', help=f'known pose of b in a: {FORMS}')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Write the page."""
+    result = CalibrationResult.load(arguments.result)
+    page = arguments.output or arguments.result.with_suffix('.html')
+    require_new([page, *plot_paths(arguments.plots)], force=arguments.force)
+    # Files carry no frame names: those of the saved result are what a person means.
+    for name in 'ab':
+        if not arguments.bag and getattr(arguments, f'frame_{name}') is None:
+            setattr(arguments, f'frame_{name}', getattr(result, f'frame_{name}'))
+    a, b = load_pair(arguments)
+    truth = read_truth(arguments.ground_truth, result.frame_a, result.frame_b)
+    for path in write_pages(result, a, b, truth, arguments, page):
+        print(f'wrote {path}')
+    return EXIT_OPEN if result.observability.unobserved else 0
+
+
+def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | None:
+    """Return the known pose of b in a, or None where no file was given."""
+    return None if name is None else read_extrinsic(name, frame_a, frame_b).T_a_b
+
+
+def require_new(paths: Iterable[Path], *, force: bool) -> None:
+    """Raise ConfigError where one of the files exists, unless it may be overwritten."""
+    taken = [path for path in paths if path.is_file()]
+    if taken and not force:
+        more = f' and {len(taken) - 1} more' if len(taken) > 1 else ''
+        raise ConfigError(
+            f'{taken[0]}{more} exists; give --force to overwrite, or another name')
+
+
+def plot_paths(folder: Path | None) -> list[Path]:
+    """Return the files of ``--plots``."""
+    if folder is None:
+        return []
+    from trajectory_calibration.outputs.plots import plot_files
+    return plot_files(folder)
+
+
+def write_pages(
+    result: CalibrationResult, a: Trajectory, b: Trajectory, truth: FloatArray | None,
+    arguments: argparse.Namespace, page: Path | None,
+) -> list[Path]:
+    """Write the page and the plots that were asked for; return the files."""
+    if page is None and arguments.plots is None:
+        return []
+    from trajectory_calibration.outputs.report.data import report_data
+    from trajectory_calibration.outputs.report.render import render
+    written = []
+    with running_clock('writing the report'):
+        data = report_data(result, a, b, truth)
+        if page is not None:
+            _write(page, render(data, record_of(arguments)))
+            written.append(page)
+        if arguments.plots is not None:
+            from trajectory_calibration.outputs.plots import save_plots
+            save_plots(data, arguments.plots)
+            written.append(arguments.plots)
+    return written
+
+
+def write_failure(
+    error: Exception, trajectories: tuple[Trajectory, ...], config: CalibrationConfig,
+    arguments: argparse.Namespace,
+) -> None:
+    """Write the page of a calibration without an answer."""
+    from trajectory_calibration.outputs.report import render_failure
+    _write(arguments.report, render_failure(
+        str(error), trajectories, config=config, record=record_of(arguments)))
+
+
+def record_of(arguments: argparse.Namespace) -> Record:
+    """Return the command line and the hashes of the inputs."""
+    from trajectory_calibration.outputs.report import hash_inputs, Record
+    inputs = [('bag', Path(bag)) for bag in arguments.bag]
+    inputs += [(name, Path(getattr(arguments, name))) for name in 'ab'
+               if Path(getattr(arguments, name)).is_file()]
+    command = shlex.join(['trajectory_calibration', *arguments.argv])
+    return Record(command, hash_inputs(inputs))
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+    write_text(path, text, ResultError)

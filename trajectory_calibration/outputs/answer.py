@@ -1,0 +1,184 @@
+"""The six numbers of an answer with their deviations and marks: one table for every surface.
+
+The screen, the report and the notebook show these rows, so that they cannot differ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.assessment.observability import (
+    DEGREES_OF_FREEDOM,
+    OBSERVED,
+    PRIOR,
+    UNOBSERVED,
+    WEAK,
+)
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+
+# What a person reads beside a number, worst first.
+WORDS = {UNOBSERVED: 'unknown', WEAK: 'weak', PRIOR: 'prior', OBSERVED: 'ok'}
+_WORST_FIRST = tuple(WORDS)
+
+NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
+
+# A pitch this near to 90 degrees (cosine): roll and yaw turn about the same axis.
+_GIMBAL_LOCK = 1e-3
+
+# An axis that brings at least this share of the variance of an angle gives it its mark.
+_MAIN_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class Row:
+    """One number of the answer.
+
+    Attributes
+    ----------
+    name : 'x' ... 'yaw'; roll, pitch, yaw about the fixed x, then y, then z axis of a, as URDF.
+    value : metres or degrees.
+    std : standard deviation in the same unit, or None where the result has no covariance.
+    unit : 'm' or 'deg'.
+    status : 'observed', 'weak', 'unobserved' or 'prior'.
+    weak_limit, unobserved_limit : of the standard deviation, from the settings.
+    error : value minus the truth, where that is known.
+
+    """
+
+    name: str
+    value: float
+    std: float | None
+    unit: str
+    status: str
+    weak_limit: float
+    unobserved_limit: float
+    error: float | None = None
+
+    @property
+    def word(self) -> str:
+        """Return 'ok', 'weak', 'unknown' or 'prior'."""
+        return WORDS[self.status]
+
+    @property
+    def is_known(self) -> bool:
+        """Tell whether the number may be shown."""
+        return self.status != UNOBSERVED
+
+
+def answer_rows(
+    result: CalibrationResult, T_a_b_true: FloatArray | None = None,
+) -> tuple[Row, ...]:
+    """Return the six rows of a result; ``T_a_b_true`` (4, 4) fills their errors."""
+    config = result.config
+    angles = np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3]))
+    values = np.concatenate([result.T_a_b[:3, 3], angles])
+    std, to_angles = _deviations(result)
+    statuses = [result.observability.status[name] for name in DEGREES_OF_FREEDOM[:3]]
+    statuses += _angle_statuses(result, to_angles)
+    errors = (None if T_a_b_true is None
+              else _errors(result.T_a_b, T_a_b_true, to_angles))
+    limits = (
+        (config.weak_translation, config.unobserved_translation),
+        (config.weak_rotation, config.unobserved_rotation))
+    return tuple(
+        Row(name, float(values[k]) + 0.0, None if std is None else float(std[k]),
+            'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
+            None if errors is None else float(errors[k]))
+        for k, name in enumerate(NAMES))
+
+
+def worst_status(rows: tuple[Row, ...]) -> str:
+    """Return the status of the row that is known least."""
+    return min((row.status for row in rows), key=_WORST_FIRST.index)
+
+
+def status_sentence(rows: tuple[Row, ...]) -> str:
+    """Return which numbers are good and which are not: 'rotation ok; x, y weak; z unknown'."""
+    by_word: dict[str, list[str]] = {}
+    for row in rows:
+        by_word.setdefault(row.word, []).append(row.name)
+    if set(by_word) == {'ok'}:
+        return 'all six numbers ok'
+    order = ('ok', 'prior', 'weak', 'unknown')
+    return '; '.join(
+        f'{_grouped(by_word[word])} {word}' for word in order if word in by_word)
+
+
+def _grouped(names: list[str]) -> str:
+    text = ', '.join(names)
+    for group, name in ((NAMES, 'all six'), (NAMES[:3], 'translation'), (NAMES[3:], 'rotation')):
+        text = text.replace(', '.join(group), name)
+    return text
+
+
+def number(value: float, std: float | None, unit: str) -> str:
+    """Return a number with as many digits as its deviation leaves: '0.209', '-90.15'."""
+    digits = digits_of(std, unit)
+    # No minus before a zero.
+    return f'{round(value, digits) + 0.0:.{digits}f}'
+
+
+def digits_of(std: float | None, unit: str) -> int:
+    """Return the decimals that show two digits of a deviation; 3 to 6 of metres, 2 to 5 of deg."""
+    least = 3 if unit == 'm' else 2
+    if std is None or not std > 0:
+        return least + 1
+    decimals = least
+    while decimals < least + 3 and std < 10.0 ** (1 - decimals) * 0.995:
+        decimals += 1
+    return decimals
+
+
+def angle_jacobian(R: FloatArray) -> FloatArray:
+    """Return (3, 3), the change of roll, pitch, yaw by a turn about the fixed x, y, z of a."""
+    pitch_axis = np.array([-R[1, 0], R[0, 0], 0.0])
+    cosine = float(np.hypot(R[0, 0], R[1, 0]))
+    if cosine < _GIMBAL_LOCK:
+        # Roll alone takes what roll and yaw have in common, as roll_pitch_yaw has it.
+        return np.array([R[:, 0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    columns = np.column_stack([R[:, 0], pitch_axis / cosine, [0.0, 0.0, 1.0]])
+    return np.linalg.inv(columns)
+
+
+def _deviations(result: CalibrationResult) -> tuple[FloatArray | None, FloatArray]:
+    """Return (6,) standard deviations, metres and degrees, and the jacobian of the angles."""
+    to_angles = angle_jacobian(result.T_a_b[:3, :3])
+    if result.covariance is None:
+        return None, to_angles
+    P = result.covariance
+    variance = np.concatenate([
+        np.diagonal(P)[:3],
+        np.einsum('ij,jk,ik->i', to_angles, P[3:, 3:], to_angles)])
+    std = np.sqrt(np.maximum(variance, 0.0))
+    std[3:] = np.rad2deg(std[3:])
+    return std, to_angles
+
+
+def _angle_statuses(result: CalibrationResult, to_angles: FloatArray) -> list[str]:
+    """Return the status of roll, pitch, yaw: the worst of the axes that they come from."""
+    by_axis = [result.observability.status[name] for name in DEGREES_OF_FREEDOM[3:]]
+    if result.covariance is None:
+        share = to_angles**2
+    else:
+        share = to_angles**2 * np.maximum(np.diagonal(result.covariance)[3:], 1e-30)
+    share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+    counts = share > _MAIN_SHARE
+    # Every axis counts somewhere: an open one must be seen.
+    counts[np.abs(to_angles).argmax(axis=0), np.arange(3)] = True
+    return [
+        min((by_axis[axis] for axis in np.flatnonzero(row)), key=_WORST_FIRST.index,
+            default=OBSERVED)
+        for row in counts]
+
+
+def _errors(
+    T_a_b: FloatArray, T_a_b_true: FloatArray, to_angles: FloatArray,
+) -> FloatArray:
+    """Return (6,) metres, and degrees of roll, pitch, yaw, to first order."""
+    step = se3.step_between(T_a_b_true, T_a_b)
+    errors: FloatArray = np.concatenate([step[:3], np.rad2deg(to_angles @ step[3:])])
+    return errors

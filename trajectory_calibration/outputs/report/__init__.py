@@ -1,0 +1,17 @@
+"""One self-contained HTML page that shows what a calibration rests on."""
+
+from trajectory_calibration.outputs.report.record import hash_inputs, Input, Record
+from trajectory_calibration.outputs.report.render import (
+    render_box,
+    render_failure,
+    render_report,
+)
+
+__all__ = [
+    'Input',
+    'Record',
+    'hash_inputs',
+    'render_box',
+    'render_failure',
+    'render_report',
+]

@@ -1,0 +1,123 @@
+"""The verdict box: the answer, how well it is known, what to do, and text to copy."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+
+from trajectory_calibration.outputs.answer import digits_of, number, Row
+from trajectory_calibration.outputs.verdict import Verdict
+from trajectory_calibration.result import CalibrationResult
+
+MARKS = {'ok': '●', 'weak': '◐', 'unknown': '○', 'prior': '◆'}
+# Decades of the gauge below and above the limit of 'weak'.
+_BELOW, _ABOVE = 2.0, 1.5
+_GAUGE = 120
+
+
+def verdict_box(
+    result: CalibrationResult, rows: tuple[Row, ...], verdict: Verdict, copies: str,
+    driven: str = '',
+) -> str:
+    """Return the box that begins a report, also shown in a notebook."""
+    a, b = escape(result.frame_a), escape(result.frame_b)
+    has_truth = rows[0].error is not None
+    body = ''.join(_row(row, with_error=has_truth) for row in rows)
+    config = result.config
+    limits = (
+        f'<p class="marks"><span class="ok">● ok</span> deviation up to '
+        f'{config.weak_translation:g} m, {config.weak_rotation:g} deg '
+        f'<span class="weak">◐ weak</span> above '
+        f'<span class="unknown">○ unknown</span> not determined '
+        f'<span class="prior">◆ prior</span> given beforehand. Bars: standard deviation, '
+        'logarithmic; ticks: limits of weak and unknown.</p>')
+    error = '<th scope="col" class="num">error</th><th scope="col" class="num">in σ</th>' \
+        if has_truth else ''
+    with_truth = ' with-truth' if has_truth else ''
+    return (
+        f'<section class="verdict {verdict.level}"><div class="head">'
+        f'<h1>{a} <span class="arrow">→</span> {b}</h1>'
+        f'<p class="badge">{escape(verdict.title)}</p></div>'
+        f'<p class="sentence">{escape(verdict.opening)}.</p>'
+        f'<div class="answer"><div><div class="scroll"><table class="answer-table{with_truth}">'
+        f'<caption>Pose of {b} in {a}: <code>p<sub>{a}</sub> = T p<sub>{b}</sub></code></caption>'
+        '<thead><tr>'
+        '<th scope="col"></th><th scope="col" class="num">value</th>'
+        '<th scope="col" class="num">± 1 σ</th><th scope="col"></th>'
+        '<th scope="col" class="of-gauge">deviation</th>'
+        f'<th scope="col">status</th>{error}</tr></thead>'
+        f'<tbody>{body}</tbody></table></div>{limits}</div>{_facts(result, driven)}</div>'
+        f'<p class="next"><b>Next</b> {escape(verdict.next_step)}</p>{copies}</section>')
+
+
+def _facts(result: CalibrationResult, driven: str) -> str:
+    summary = result.association
+    facts = [('driven', driven)] if driven else []
+    facts.append(('pose pairs', (f'{result.poses:,} of {summary.poses_a:,} and '
+                  f'{summary.poses_b:,} poses')))
+    facts.append(('clock offset', f'{1e3 * result.time_offset_s:+.1f} ms on {result.frame_b}'))
+    if result.clock_drift:
+        facts.append(('clock drift', f'{1e6 * result.clock_drift:+.1f} ppm'))
+    facts.append(('scale of b', f'{result.scale:.6g}'))
+    jumps = (result.diagnosis or {}).get('jumps')
+    if jumps is not None:
+        facts.append(('jumps excluded', f'{len(jumps)}'))
+    elif result.inliers is not None:
+        facts.append(('motions kept', f'{np.count_nonzero(result.inliers)} of {result.motions}'))
+    facts.append(('fit residual', (f'{result.metrics.e_rt:.3g} m, '
+                  f'{float(np.rad2deg(result.metrics.e_rR)):.3g} deg per motion '
+                  '(not the accuracy)')))
+    facts.append(('solver', result.config.solver))
+    inside = ''.join(f'<dt>{name}</dt><dd>{escape(value)}</dd>' for name, value in facts)
+    return f'<dl class="facts">{inside}</dl>'
+
+
+def _row(row: Row, *, with_error: bool) -> str:
+    radians = ''
+    if row.unit == 'deg' and row.is_known:
+        std = '' if row.std is None else f' ± {np.deg2rad(row.std):.2g}'
+        radians = f'{np.deg2rad(row.value):.5f}{std} rad'
+    value = number(row.value, row.std, row.unit) if row.is_known else 'unknown'
+    std = ''
+    if row.is_known and row.std is not None:
+        std = f'{row.std:.{digits_of(row.std, row.unit)}f}'
+    unit = row.unit if row.is_known else ''
+    more = f' title="{radians}"' if radians else ''
+    small = f'<small>{radians}</small>' if radians else ''
+    cells = (
+        f'<th scope="row">{row.name}</th><td class="num value"{more}>{value}</td>'
+        f'<td class="num">{std}</td><td class="unit">{unit}{small}</td>'
+        f'<td class="of-gauge">{gauge(row)}</td>'
+        f'<td class="{row.word}">{MARKS[row.word]} {row.word}</td>')
+    if with_error:
+        cells += _error_cells(row)
+    return f'<tr class="row-{row.word}">{cells}</tr>'
+
+
+def _error_cells(row: Row) -> str:
+    if row.error is None or not row.is_known:
+        return '<td class="num">–</td><td class="num">–</td>'
+    error = f'{row.error:+.{digits_of(row.std, row.unit)}f}'
+    sigma = '' if not row.std else f'{abs(row.error) / row.std:.1f}'
+    return f'<td class="num">{error}</td><td class="num">{sigma}</td>'
+
+
+def gauge(row: Row) -> str:
+    """Return a bar as long as the logarithm of the deviation, with the two limits as ticks."""
+    limit = max(row.weak_limit, 1e-9)
+    low, high = np.log10(limit) - _BELOW, np.log10(limit) + _ABOVE
+
+    def place(value: float) -> float:
+        share = (np.log10(max(value, 1e-12)) - low) / (high - low)
+        return float(np.clip(share, 0.02, 1.0)) * _GAUGE
+
+    std = row.std if row.std is not None else limit
+    width = _GAUGE if not row.is_known else place(std)
+    ticks = ''.join(
+        f'<path class="tick" d="M{place(value):.1f} 1v14"/>'
+        for value in (row.weak_limit, row.unobserved_limit) if value > 0)
+    return (f'<svg class="gauge" viewBox="0 0 {_GAUGE} 16" role="img" aria-label="deviation '
+            f'{row.word}"><rect class="track" x="0" y="5" width="{_GAUGE}" height="6" rx="3"/>'
+            f'<rect class="fill-{row.word}" x="0" y="5" width="{width:.1f}" height="6" rx="3"/>'
+            f'{ticks}</svg>')

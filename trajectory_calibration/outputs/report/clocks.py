@@ -1,0 +1,153 @@
+"""How fast each sensor turned and when: what the clocks and the gaps look like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
+
+# Seconds of the part that is drawn, and points in it.
+_PART_S, _POINTS = 30.0, 300
+# Cells of the comparison at the most, and lags on either side.
+_CELLS, _LAGS = 6000, 60
+# Least seconds that are compared on either side, and least length of a window of rotation.
+_REACH_S, _WINDOW_S = 0.5, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Clocks:
+    """When the two sensors turned, and when they have poses.
+
+    Attributes
+    ----------
+    seconds : (P,) from the start, of the part with the most turning.
+    rate_a, rate_b : (P,) degrees a second; NaN in gaps.
+    offsets_s : (L,) added to the stamps of b on top of the answer.
+    correlation : (L,) of the rotations at that offset, at most 1.
+    spans_a, spans_b : (S, 2) seconds from the start in which there are poses without a gap.
+    duration_s : from the first pose of either to the last.
+
+    """
+
+    seconds: FloatArray
+    rate_a: FloatArray
+    rate_b: FloatArray
+    offsets_s: FloatArray
+    correlation: FloatArray
+    spans_a: FloatArray
+    spans_b: FloatArray
+    duration_s: float
+
+
+def compare_clocks(a: Trajectory, b: Trajectory) -> Clocks:
+    """Compare two trajectories whose stamps are in one clock."""
+    start = int(min(a.stamps_ns[0], b.stamps_ns[0]))
+    end = int(max(a.stamps_ns[-1], b.stamps_ns[-1]))
+    usual_s = float(max(a.usual_step_ns, b.usual_step_ns)) * 1e-9
+    window_s = max(_WINDOW_S, 2 * usual_s)
+    seconds = _busiest(a, b, start)
+    offsets, correlation = _correlate(a, b, usual_s)
+    return Clocks(
+        seconds,
+        _rate(a, seconds, start, window_s), _rate(b, seconds, start, window_s),
+        offsets, correlation,
+        _spans(a, start), _spans(b, start), (end - start) * 1e-9)
+
+
+def _seconds(trajectory: Trajectory, start: int) -> FloatArray:
+    return (trajectory.stamps_ns - start).astype(np.float64) * 1e-9
+
+
+def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
+    """Return times of the part of the common time in which a turned most."""
+    times = _seconds(a, start)
+    low = max(times[0], _seconds(b, start)[0])
+    high = min(times[-1], _seconds(b, start)[-1])
+    if high <= low:
+        low, high = times[0], times[-1]
+    length = min(_PART_S, high - low)
+    begins = np.linspace(low, high - length, 200)
+    # Where both have poses: a rotation in a gap of one cannot be compared.
+    turned = np.minimum(*(_turned(trajectory, start, begins, length) for trajectory in (a, b)))
+    begin = float(begins[int(np.argmax(turned))])
+    return np.linspace(begin, begin + length, _POINTS)
+
+
+def _turned(
+    trajectory: Trajectory, start: int, begins: FloatArray, length: float,
+) -> FloatArray:
+    """Return the rotation in parts of the time, without what lies in gaps."""
+    angle = np.linalg.norm(trajectory.turns, axis=1)
+    angle[np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory)] = 0.0
+    total = np.concatenate([[0.0], np.cumsum(angle)])
+    times = _seconds(trajectory, start)
+    turned: FloatArray = (
+        np.interp(begins + length, times, total) - np.interp(begins, times, total))
+    return turned
+
+
+def _rate(
+    trajectory: Trajectory, seconds: FloatArray, start: int, window_s: float,
+) -> FloatArray:
+    """Return (P,) degrees a second, by the angle over a window around each time."""
+    times = _seconds(trajectory, start)
+    first = np.clip(np.searchsorted(times, seconds - window_s / 2), 0, len(times) - 2)
+    last = np.clip(np.searchsorted(times, seconds + window_s / 2), first + 1, len(times) - 1)
+    R = trajectory.rotations
+    angle = se3.rotation_angle(np.swapaxes(R[first], 1, 2) @ R[last])
+    rate = np.rad2deg(angle) / (times[last] - times[first])
+    inside = (seconds >= times[0]) & (seconds <= times[-1])
+    known = inside & (times[last] - times[first] < longest_step_ns(trajectory) * 1e-9 + window_s)
+    return np.where(known, rate, np.nan)
+
+
+def _correlate(
+    a: Trajectory, b: Trajectory, usual_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return offsets and the largest correlation that any rotation between both allows."""
+    start = int(max(a.stamps_ns[0], b.stamps_ns[0]))
+    duration = (int(min(a.stamps_ns[-1], b.stamps_ns[-1])) - start) * 1e-9
+    reach = max(_REACH_S, 8 * usual_s)
+    if duration < 3 * reach:
+        return np.zeros(0), np.zeros(0)
+    cell = max(usual_s / 2, reach / _LAGS, duration / _CELLS)
+    edges = np.arange(0.0, duration, cell)
+    turn_a, turn_b = (_in_cells(trajectory, edges, start) for trajectory in (a, b))
+    lags: int = min(_LAGS, int(reach / cell))
+    shifts = np.arange(-lags, lags + 1)
+    covariance = np.empty((len(shifts), 3, 3))
+    energy = np.empty(len(shifts))
+    for k, shift in enumerate(range(-lags, lags + 1)):
+        # The clock of b later by so many cells: its turns belong to later ones of a.
+        part_a = turn_a[max(0, shift):len(turn_a) + min(0, shift)]
+        part_b = turn_b[max(0, -shift):len(turn_b) - max(0, shift)]
+        covariance[k] = part_a.T @ part_b
+        energy[k] = np.sqrt(np.sum(part_a**2) * np.sum(part_b**2))
+    singular = np.linalg.svd(covariance, compute_uv=False)
+    gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(covariance) < 0)
+    correlation: FloatArray = gain / np.maximum(energy, 1e-300)
+    return shifts.astype(np.float64) * cell, correlation
+
+
+def _in_cells(trajectory: Trajectory, edges: FloatArray, start: int) -> FloatArray:
+    """Return the (K, 3) rotation of a sensor about its axes in each cell."""
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(trajectory.turns, axis=0)])
+    times = _seconds(trajectory, start)
+    at_edges = np.column_stack([np.interp(edges, times, axis) for axis in total.T])
+    return np.diff(at_edges, axis=0)
+
+
+def _spans(trajectory: Trajectory, start: int) -> FloatArray:
+    """Return (S, 2) seconds without a gap."""
+    times = _seconds(trajectory, start)
+    gaps: NDArray[np.intp] = np.flatnonzero(
+        np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory))
+    first = np.concatenate([[0], gaps + 1])
+    last = np.concatenate([gaps, [len(times) - 1]])
+    return np.column_stack([times[first], times[last]])

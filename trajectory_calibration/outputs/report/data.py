@@ -1,0 +1,186 @@
+"""Everything that the figures show, computed once from a result and its two trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.motion_pairs import reference_indices
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import answer_rows, Row
+from trajectory_calibration.outputs.report.clocks import Clocks, compare_clocks
+from trajectory_calibration.outputs.report.parts import (
+    compare_parts,
+    lag_of,
+    lagged,
+    Parts,
+    TIME_SCALES_S,
+)
+from trajectory_calibration.outputs.report.tracks import (
+    compare_tracks,
+    corrected_b,
+    distances,
+    motion_covariance,
+    Tracks,
+)
+from trajectory_calibration.result import CalibrationResult
+
+# Residuals that are looked at, and those of one time scale.
+_RESIDUALS, _OF_A_SCALE, _LEAST_OF_A_SCALE = 4000, 600, 20
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+# Parts of the path whose scale is compared.
+_SCALE_PARTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What is left of the motions when b is carried over to a, in the axes of a.
+
+    Attributes
+    ----------
+    seconds : (M,) from the start, of the end of each motion.
+    values, sigma : (M, 6) metres and degrees, and what the identified noise makes likely.
+    excluded : (M,) bool, motions across a jump.
+    scales_s : (S,) seconds.
+    by_scale : (S, 2, 5) quantiles 5, 25, 50, 75, 95 % of the size: metres, degrees.
+    expected : (S, 2) root mean square that the identified noise makes likely.
+
+    """
+
+    seconds: FloatArray
+    values: FloatArray
+    sigma: FloatArray
+    excluded: NDArray[np.bool_]
+    scales_s: FloatArray
+    by_scale: FloatArray
+    expected: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class PathScale:
+    """Metres of a per metre of b over parts of the path, relative to the scale of the answer."""
+
+    seconds: FloatArray
+    ratio: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ReportData:
+    """One result and what its figures show."""
+
+    result: CalibrationResult
+    rows: tuple[Row, ...]
+    T_a_b_true: FloatArray | None
+    tracks: Tracks
+    parts: Parts
+    residuals: Residuals
+    clocks: Clocks
+    scale: PathScale
+
+    @property
+    def need_deg(self) -> float | None:
+        """Return the rotation at which this noise would just give the limit of 'weak'.
+
+        From the direction of the translation that is known best: deviation times gain is the
+        same for all of them. None where there is no covariance.
+        """
+        observability, P = self.result.observability, self.result.covariance
+        if P is None or not len(observability.translation_axes):
+            return None
+        axes = np.array(observability.translation_axes)
+        std = np.sqrt(np.maximum(np.einsum('ki,ij,kj->k', axes, P[:3, :3], axes), 0.0))
+        gain = np.array(observability.translation_gain)
+        need = float(np.min(std * gain)) / max(self.result.config.weak_translation, 1e-9)
+        return float(np.rad2deg(need))
+
+
+def report_data(
+    result: CalibrationResult, a: Trajectory, b: Trajectory,
+    T_a_b_true: FloatArray | None = None,
+) -> ReportData:
+    """Compute what the figures show.
+
+    Raises
+    ------
+    AssociationError
+        The trajectories have no common time under the clock of the result.
+
+    """
+    tracks = compare_tracks(result, a, b)
+    return ReportData(
+        result, answer_rows(result, T_a_b_true), T_a_b_true, tracks,
+        compare_parts(tracks, result),
+        _residuals(tracks, result),
+        compare_clocks(a, corrected_b(result, b)),
+        _path_scale(tracks))
+
+
+def _residuals(tracks: Tracks, result: CalibrationResult) -> Residuals:
+    i, j = reference_indices(result.reference or 'B1', len(tracks))
+    every = slice(None, None, max(1, len(i) // _RESIDUALS))
+    i, j = i[every], j[every]
+    values, sigma = _of_motions(tracks, result.T_a_b, i, j)
+    bad = np.concatenate([[0], np.cumsum(~tracks.usable)])
+    scales: list[float] = []
+    quantiles: list[FloatArray] = []
+    expected: list[list[float]] = []
+    for seconds in TIME_SCALES_S:
+        lag = lag_of(tracks, seconds)
+        if lag >= len(tracks) or lag in [lag_of(tracks, other) for other in scales]:
+            continue
+        first, last = lagged(tracks, lag, _OF_A_SCALE)
+        if len(first) < _LEAST_OF_A_SCALE:
+            continue
+        error, likely = _of_motions(tracks, result.T_a_b, first, last)
+        size = np.stack([np.linalg.norm(error[:, part], axis=1)
+                         for part in (slice(0, 3), slice(3, 6))])
+        scales.append(seconds)
+        quantiles.append(np.quantile(size, _QUANTILES, axis=1).T)
+        expected.append([float(np.sqrt(np.mean(np.sum(likely[:, part]**2, axis=1))))
+                         for part in (slice(0, 3), slice(3, 6))])
+    return Residuals(
+        tracks.seconds[j], values, sigma, bad[i] != bad[j],
+        np.array(scales), np.array(quantiles).reshape(-1, 2, 5),
+        np.array(expected).reshape(-1, 2))
+
+
+def _of_motions(
+    tracks: Tracks, T_a_b: FloatArray, i: NDArray[np.intp], j: NDArray[np.intp],
+) -> tuple[FloatArray, FloatArray]:
+    """Return (M, 6) residuals and their likely size, metres and degrees."""
+    A = se3.inverse(tracks.pairs.poses_a[i]) @ tracks.pairs.poses_a[j]
+    C = se3.inverse(tracks.poses_c[i]) @ tracks.poses_c[j]
+    values = se3.log_se3(se3.inverse(A) @ C)
+    along = distances(tracks)
+    covariance = motion_covariance(tracks, T_a_b, A, np.abs(along[j] - along[i]))
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    unit = np.array([1.0] * 3 + [180 / np.pi] * 3)
+    return values * unit, sigma * unit
+
+
+def _path_scale(tracks: Tracks) -> PathScale:
+    """Compare the lengths of the motions of both over parts of the path."""
+    i, j = lagged(tracks, lag_of(tracks, 2.0), _RESIDUALS)
+    empty = PathScale(np.zeros(0), np.zeros(0), np.zeros(0))
+    if len(i) < 5 * _SCALE_PARTS:
+        return empty
+    of_a, of_c = ((se3.inverse(poses[i]) @ poses[j])[:, :3, 3]
+                  for poses in (tracks.pairs.poses_a, tracks.poses_c))
+    edges = np.linspace(0, tracks.seconds[-1], _SCALE_PARTS + 1)
+    found = []
+    for low, high in itertools.pairwise(edges):
+        part = (tracks.seconds[i] >= low) & (tracks.seconds[i] <= high)
+        square = float(np.sum(of_c[part] ** 2))
+        if part.sum() < 5 or square <= 1e-9:
+            continue
+        ratio = float(np.sum(of_a[part] * of_c[part])) / square
+        left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
+        overlap = max(1.0, float(np.mean(j - i)) / max(1, int(np.median(np.diff(i)))))
+        found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
+    return PathScale(*np.array(found).T) if len(found) > 1 else empty

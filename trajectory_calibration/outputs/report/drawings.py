@@ -1,0 +1,243 @@
+"""The figures of the report, each drawn from ``ReportData``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.report.clocks import Clocks
+from trajectory_calibration.outputs.report.data import PathScale, ReportData
+from trajectory_calibration.outputs.report.figures import label, limits, Plot
+
+AXES = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
+# A share of the range that the largest values may be cut off at.
+_MOST = 0.995
+
+
+def unit_of(k: int) -> str:
+    """Return the unit of the k-th of the six numbers."""
+    return 'm' if k < 3 else 'deg'
+
+
+def distance_over_time(data: ReportData) -> str:
+    """Draw the distance between the tracks, with jumps."""
+    tracks = data.tracks
+    high = max(float(tracks.distance_m.max()), 1e-6) * 1.08
+    plot = Plot((0.0, float(tracks.seconds[-1])), (0.0, high), name='distance between the tracks',
+                x_label='time, s', y_label='m')
+    plot.line(tracks.seconds, tracks.distance_m, 'line-a')
+    _mark_jumps(plot, data, high)
+    return plot.svg()
+
+
+def distance_over_path(data: ReportData) -> str:
+    """Draw the distance between the tracks against the distance driven."""
+    tracks = data.tracks
+    high = max(float(tracks.distance_m.max()), 1e-6) * 1.08
+    end = float(tracks.path_m[-1])
+    unit, name = (1e-3, 'km') if end > 3000 else (1.0, 'm')
+    plot = Plot((0.0, max(end * unit, 1e-6)), (0.0, high), name='distance over the path',
+                x_label=f'driven, {name}', y_label='m')
+    plot.line(tracks.path_m * unit, tracks.distance_m, 'line-a')
+    return plot.svg()
+
+
+def angle_over_time(data: ReportData) -> str:
+    """Draw the difference of orientation between the tracks, with jumps."""
+    tracks = data.tracks
+    high = max(float(tracks.angle_deg.max()), 1e-6) * 1.08
+    plot = Plot((0.0, float(tracks.seconds[-1])), (0.0, high), name='difference of orientation',
+                x_label='time, s', y_label='deg')
+    plot.line(tracks.seconds, tracks.angle_deg, 'line-a')
+    _mark_jumps(plot, data, high)
+    return plot.svg()
+
+
+def _mark_jumps(plot: Plot, data: ReportData, high: float) -> None:
+    jumps = data.tracks.jumps
+    plot.dots(data.tracks.seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
+
+
+def rotation_by_axis(data: ReportData) -> str:
+    """Draw the rotation of a motion about each axis, with what is needed."""
+    found = np.array(data.result.observability.excitation_deg)
+    need = data.need_deg
+    values = found if need is None else np.append(found, need)
+    low = 10.0 ** np.floor(np.log10(max(float(values[values > 0].min(initial=1.0)) / 1.5, 1e-4)))
+    high = max(float(values.max()) * 1.7, 10 * low)
+    plot = Plot((-0.6, 2.6), (low, high), name='rotation by axis', log_y=True,
+                y_label='deg per motion, rms', x_ticks=[
+                    (k, f'about {name}') for k, name in enumerate('xyz')])
+    for k, value in enumerate(found):
+        style = 'fill-a' if need is None or value >= need else 'fill-weak'
+        plot.rectangle((k - 0.28, k + 0.28), (low, max(value, low)), style, f'{value:.3g} deg')
+        plot.write(k, min(value * 1.12, high), f'{value:.3g}', 'middle')
+    if need is not None and low < need < high:
+        # At the end where the bar is farther away.
+        left, right = (abs(np.log(max(value, low) / need)) for value in (found[0], found[2]))
+        plot.horizontal(need, 'need', f'need {need:.2g}', at_left=bool(left > right))
+    return plot.svg()
+
+
+def deviation_over_time(data: ReportData, *, rotation: bool) -> str:
+    """Draw the standard deviations against driving time."""
+    parts, config = data.parts, data.result.config
+    columns = range(3, 6) if rotation else range(3)
+    limit = config.weak_rotation if rotation else config.weak_translation
+    values = parts.growth_std[:, list(columns)]
+    shown = values[np.isfinite(values) & (values > 0)]
+    low = max(min(float(shown.min(initial=limit)), limit) / 1.6, 1e-5)
+    high = max(float(shown.max(initial=limit)), limit) * 1.6
+    plot = Plot((0.0, float(data.tracks.seconds[-1])), (low, high), log_y=True,
+                name='standard deviation against driving time', x_label='driven, s',
+                y_label=f'{unit_of(columns[0])}, standard deviation')
+    if low < limit < high:
+        plot.horizontal(limit, 'need', 'weak above', at_left=True)
+    for k in columns:
+        plot.line(parts.growth_s, parts.growth_std[:, k], f'line-{"xyz"[k % 3]}')
+    return plot.svg()
+
+
+def part_plot(data: ReportData, k: int) -> str:
+    """Draw what quarters and time scales say of one number, relative to the answer."""
+    parts, row = data.parts, data.rows[k]
+    P = data.result.covariance
+    own = 0.0 if P is None else float(np.sqrt(max(P[k, k], 0.0)))
+    own = float(np.rad2deg(own)) if k >= 3 else own
+    is_open = data.result.observability.status[AXES[k]] == 'unobserved'
+    points = [(n, parts.quarters[n, k], parts.quarter_std[n, k])
+              for n in range(len(parts.quarters))]
+    offset = len(points) + 1
+    points += [(offset + n, parts.scales[n, k], parts.scale_std[n, k])
+               for n in range(len(parts.scales))]
+    known = [point for point in points
+             if np.isfinite(point[2]) and point[2] < row.unobserved_limit and not is_open]
+    reach = max([2.2 * own] + [abs(value) + 2 * std for _, value, std in known]) \
+        if known else max(own, 1e-3)
+    # One wild part must not flatten the others.
+    reach = min(reach, max(8 * own, 3 * row.weak_limit))
+    names = [(n, f'Q{n + 1}') for n in range(len(parts.quarters))]
+    names += [(offset + n, label(value)) for n, value in enumerate(parts.scales_s)]
+    plot = Plot((-0.6, (names[-1][0] if names else 1) + 0.6), (-reach, reach), height=150,
+                name=f'{AXES[k]} from parts of the data', x_ticks=names,
+                x_label='quarters | time scales, s', y_label=f'{AXES[k]}, {unit_of(k)}')
+    if is_open:
+        plot.write((offset + len(parts.scales)) / 2 - 0.5, 0.0, 'not determined by the motion',
+                   'middle')
+        return plot.svg()
+    plot.band([-0.6, names[-1][0] + 0.6 if names else 1.6], [-2 * own] * 2, [2 * own] * 2,
+              'band-answer')
+    plot.horizontal(0.0, 'zero')
+    for place, value, std in points:
+        if (place, value, std) in known:
+            far = abs(value) > 3 * np.hypot(std, own) and abs(value) > 0.2 * row.weak_limit
+            plot.error_bar(place, value, std, 'far' if far else 'near')
+        else:
+            plot.write(place, 0.0, '?', 'middle')
+    return plot.svg()
+
+
+def residual_over_time(data: ReportData, k: int) -> str:
+    """Draw the residuals of one number with three standard deviations of the noise."""
+    found = data.residuals
+    values, sigma = found.values[:, k], found.sigma[:, k]
+    size = np.abs(values[~found.excluded]) if (~found.excluded).any() else np.abs(values)
+    reach = max(float(np.quantile(size, _MOST)) * 1.15, 3.3 * float(np.median(sigma)), 1e-9)
+    plot = Plot((0.0, float(found.seconds[-1])), (-reach, reach), height=150,
+                name=f'residual {AXES[k]} over time', x_label='time, s',
+                y_label=f'{AXES[k]}, {unit_of(k)}')
+    plot.band(found.seconds, -3 * sigma, 3 * sigma, 'band-noise')
+    plot.line(found.seconds, np.where(found.excluded, np.nan, values), 'line-thin')
+    out = np.flatnonzero(found.excluded)
+    out = out[::max(1, len(out) // 60)]
+    plot.dots(found.seconds[out], values[out], 'jump', 1.8)
+    return plot.svg()
+
+
+def histogram(data: ReportData) -> str:
+    """Draw the residuals over their likely size, beside a normal distribution."""
+    found = data.residuals
+    z = found.values[~found.excluded] / np.maximum(found.sigma[~found.excluded], 1e-300)
+    edges = np.linspace(-5, 5, 41)
+    peak = 0.45
+    shares = []
+    for part in (z[:, :3], z[:, 3:]):
+        count, _ = np.histogram(np.clip(part, -5, 5), edges)
+        share = count / max(1, part.size) / (edges[1] - edges[0])
+        shares.append(share)
+        peak = max(peak, float(share.max()) * 1.1)
+    plot = Plot((-5, 5), (0.0, min(peak, 2.0)), name='histogram of normalised residuals',
+                x_label='residual / expected standard deviation', y_label='share')
+    grid = np.linspace(-5, 5, 101)
+    plot.band(grid, 0 * grid, np.exp(-grid**2 / 2) / np.sqrt(2 * np.pi), 'band-noise')
+    for share, style in zip(shares, ('line-a', 'line-b'), strict=True):
+        plot.line(np.repeat(edges, 2)[1:-1], np.repeat(share, 2), style)
+    return plot.svg()
+
+
+def box_by_scale(data: ReportData, kind: int) -> str:
+    """Draw the size of the residuals against the length of the motions."""
+    found = data.residuals
+    if not len(found.scales_s):
+        return Plot((0, 1), (0, 1), name='no time scale', x_ticks=[], y_ticks=[]).svg()
+    values = found.by_scale[:, kind]
+    shown = np.concatenate([values[values > 0], found.expected[:, kind]])
+    low, high = max(float(shown.min()) / 1.5, 1e-6), max(float(shown.max()) * 1.5, 1e-5)
+    names = [(k, label(value)) for k, value in enumerate(found.scales_s)]
+    plot = Plot((-0.6, len(names) - 0.4), (low, high), log_y=True, x_ticks=names,
+                name='size of the residuals by time scale', x_label='length of the motions, s',
+                y_label='deg' if kind else 'm')
+    plot.line(np.arange(len(names)), found.expected[:, kind], 'need')
+    for k, (least, lower, middle, upper, most) in enumerate(np.maximum(values, low)):
+        plot.line([k, k], [least, most], 'line-thin')
+        plot.rectangle((k - 0.2, k + 0.2), (lower, upper), 'fill-b' if kind else 'fill-a')
+        plot.line([k - 0.2, k + 0.2], [middle, middle], 'median')
+    return plot.svg()
+
+
+def rates(clocks: Clocks) -> str:
+    """Draw the angular rates of both over each other."""
+    _, high = limits(clocks.rate_a, clocks.rate_b, include=(0.0,))
+    plot = Plot((float(clocks.seconds[0]), float(clocks.seconds[-1])), (0.0, high),
+                name='angular rates', x_label='time, s', y_label='deg/s')
+    plot.line(clocks.seconds, clocks.rate_b, 'line-b wide')
+    plot.line(clocks.seconds, clocks.rate_a, 'line-a')
+    return plot.svg()
+
+
+def offset_curve(clocks: Clocks) -> str:
+    """Draw how well the rotations agree at other clock offsets."""
+    low = max(-0.2, float(clocks.correlation.min()) - 0.05)
+    plot = Plot((float(clocks.offsets_s[0]), float(clocks.offsets_s[-1])), (low, 1.03),
+                name='agreement of the rotations by clock offset',
+                x_label='further clock offset, s', y_label='correlation')
+    plot.vertical(0.0, 'need', 'used')
+    plot.line(clocks.offsets_s, clocks.correlation, 'line-a')
+    return plot.svg()
+
+
+def gap_strip(clocks: Clocks) -> str:
+    """Draw when each sensor has poses."""
+    plot = Plot((0.0, clocks.duration_s), (-0.5, 1.5), name='times with poses', height=110,
+                x_label='time, s', y_ticks=[(1, 'a'), (0, 'b')])
+    for row, spans, style in ((1, clocks.spans_a, 'fill-a'), (0, clocks.spans_b, 'fill-b')):
+        for start, end in spans[:400]:
+            plot.rectangle((start, end), (row - 0.3, row + 0.3), style)
+    return plot.svg()
+
+
+def scale_over_path(scale: PathScale) -> str:
+    """Draw the ratio of the lengths of both over the drive."""
+    low, high = limits(scale.ratio - 2 * scale.std, scale.ratio + 2 * scale.std,
+                       include=(0.999, 1.001))
+    plot = Plot((0.0, float(scale.seconds[-1] * 1.07)), (low, high), name='scale over the drive',
+                x_label='time, s', y_label='scale of b, relative to the answer')
+    plot.horizontal(1.0, 'zero')
+    for x, y, std in zip(scale.seconds, scale.ratio, scale.std, strict=True):
+        plot.error_bar(float(x), float(y), float(std), 'near')
+    return plot.svg()
+
+
+def evenly(count: int, most: int) -> FloatArray:
+    """Return the indices of at most so many of ``count`` points, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

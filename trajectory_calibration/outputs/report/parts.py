@@ -1,0 +1,237 @@
+"""Does every part of the data say the same? The extrinsic from quarters and from time scales.
+
+One weighted Gauss-Newton step about the answer, from motions of one length in time: cheap, and
+near the answer as good as a solver. The derivatives are products of what a and what b report, as
+in ``assessment.excitation``, so that noise in the rotations does not pass for motion. Standard
+deviations are those of the scores with their correlation (Newey and West 1987), because motions
+overlap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.assessment.excitation import UNKNOWN
+from trajectory_calibration.assessment.observability import Observability, UNOBSERVED
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.report.tracks import distances, motion_covariance, Tracks
+from trajectory_calibration.result import CalibrationResult
+
+# Seconds of the time scales that are shown, where the drive is long enough.
+TIME_SCALES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+QUARTERS = 4
+
+# Motions of one time scale that are looked at, and least that say something.
+_MOTIONS, _LEAST_MOTIONS = 1500, 12
+# A time scale must fit so many times into the drive.
+_LEAST_REPEATS = 6
+# Scores beyond this many usual ones are those of jumps that nobody named.
+_OUTLIER = 6.0
+# Information, one over squared metres or radians, that holds a direction.
+_HELD = 1e12
+# Points of the curve of deviation over time.
+_CURVE = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Answers of parts of the data minus the answer; metres along, degrees about x, y, z of a.
+
+    Attributes
+    ----------
+    quarters, quarter_std : (4, 6); NaN where a quarter says nothing.
+    scales_s : (S,) seconds.
+    scales, scale_std : (S, 6).
+    growth_s : (T,) seconds of driving.
+    growth_std : (T, 6), the standard deviation that this much of the drive would have given; NaN
+        where nothing determines the direction.
+
+    """
+
+    quarters: FloatArray
+    quarter_std: FloatArray
+    scales_s: FloatArray
+    scales: FloatArray
+    scale_std: FloatArray
+    growth_s: FloatArray
+    growth_std: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Scores:
+    """Motions of one time scale, linearised: (M, 6) scores and (M, 6, 6) information."""
+
+    start: NDArray[np.intp]
+    score: FloatArray
+    information: FloatArray
+    overlap: int
+
+    def picked(self, mask: NDArray[np.bool_]) -> _Scores:
+        return _Scores(
+            self.start[mask], self.score[mask], self.information[mask], self.overlap)
+
+
+def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
+    """Return what quarters and time scales of the tracks say of the extrinsic."""
+    held = _held(result.observability)
+    by_scale: list[tuple[float, _Scores]] = []
+    seen: set[int] = set()
+    for seconds in TIME_SCALES_S:
+        lag = lag_of(tracks, seconds)
+        if lag in seen or len(tracks) < _LEAST_REPEATS * lag:
+            continue
+        seen.add(lag)
+        scores = _scores(tracks, result.T_a_b, lag)
+        if len(scores.start) >= _LEAST_MOTIONS:
+            by_scale.append((seconds, scores))
+    empty = np.zeros((0, 6))
+    if not by_scale:
+        return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
+    solved = [_solve(scores, held) for _, scores in by_scale]
+    std = np.array([deviation for _, deviation in solved])
+    # Where the time scale is short, white noise is all; where it is long, few are independent.
+    best = by_scale[int(np.argmin(np.sum(np.log(std), axis=1)))][1]
+    edges = np.linspace(0, len(tracks), QUARTERS + 1)
+    quarters = [_solve(best.picked((best.start >= low) & (best.start < high)), held)
+                for low, high in itertools.pairwise(edges)]
+    growth_s, growth_std = _growth(tracks, best, result, held)
+    return Parts(
+        _degrees([step for step, _ in quarters]), _degrees([value for _, value in quarters]),
+        np.array([seconds for seconds, _ in by_scale]),
+        _degrees([step for step, _ in solved]), _degrees([value for _, value in solved]),
+        growth_s, growth_std)
+
+
+def lag_of(tracks: Tracks, seconds: float) -> int:
+    """Return how many pairs are about so many seconds, at least one."""
+    usual = float(np.median(np.diff(tracks.seconds)))
+    return max(1, round(seconds / usual))
+
+
+def lagged(
+    tracks: Tracks, lag: int, count: int,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap."""
+    bad = np.zeros(len(tracks), dtype=np.intp)
+    broken = ~tracks.usable
+    broken[tracks.gaps] = True
+    bad[1:] = np.cumsum(broken)
+    i = np.arange(len(tracks) - lag)
+    i = i[bad[i] == bad[i + lag]]
+    i = i[::max(1, -(-len(i) // count))]
+    return i, i + lag
+
+
+def _jacobian(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> FloatArray:
+    """Return (M, 6, 6), the derivative of ``log(A^-1 C)`` by (dt, dtheta), motion seen as C."""
+    t = T_a_b[:3, 3]
+    R_C = C[:, :3, :3]
+    open_ = np.eye(3) - R_C
+    turned = R_C @ t
+    # R t_B, the motion of b in the axes of a, from that of a.
+    moved_b = C[:, :3, 3] - t + turned
+    J = np.zeros((len(C), 6, 6))
+    J[:, :3, :3] = open_
+    J[:, :3, 3:] = -se3.skew(moved_b) + se3.skew(turned) @ open_
+    J[:, 3:, 3:] = open_
+    R_t = np.swapaxes(A[:, :3, :3], 1, 2)
+    J[:, :3] = R_t @ J[:, :3]
+    J[:, 3:] = R_t @ J[:, 3:]
+    return J
+
+
+def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
+    i, j = lagged(tracks, lag, _MOTIONS)
+    if not len(i):
+        return _Scores(i, np.zeros((0, 6)), np.zeros((0, 6, 6)), 1)
+    A = se3.inverse(tracks.pairs.poses_a[i]) @ tracks.pairs.poses_a[j]
+    C = se3.inverse(tracks.poses_c[i]) @ tracks.poses_c[j]
+    along = distances(tracks)
+    sigma = motion_covariance(tracks, T_a_b, A, along[j] - along[i])
+    residual = se3.log_se3(se3.inverse(A) @ C)
+    of_a, of_c = _jacobian(T_a_b, A, A), _jacobian(T_a_b, A, C)
+    weighted = np.linalg.solve(
+        sigma, np.concatenate([of_a, of_c, residual[:, :, None]], axis=2))
+    chi = np.sqrt(np.einsum('ki,ki->k', residual, weighted[:, :, 12]))
+    keep = chi <= _OUTLIER * max(float(np.median(chi)), 1e-12)
+    mean = 0.5 * (of_a + of_c)
+    score = -np.einsum('kji,kj->ki', mean, weighted[:, :, 12])
+    information = np.swapaxes(of_c, 1, 2) @ weighted[:, :, :6]
+    information = 0.5 * (information + np.swapaxes(information, 1, 2))
+    stride = int(i[1] - i[0]) if len(i) > 1 else 1
+    found = _Scores(i, score, information, max(1, lag // max(1, stride)))
+    return found.picked(keep)
+
+
+def _solve(scores: _Scores, held: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (6,) step from the answer and its standard deviations, metres and radians."""
+    if len(scores.start) < _LEAST_MOTIONS:
+        return np.full(6, np.nan), np.full(6, np.nan)
+    inverse = _bounded_inverse(scores.information.sum(axis=0), held)
+    step = inverse @ scores.score.sum(axis=0)
+    left = scores.score - scores.information @ step
+    spread = _long_run(left, min(2 * scores.overlap, len(left) // 3))
+    covariance = inverse @ (spread + np.diag(UNKNOWN**-2.0)) @ inverse
+    return step, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+
+
+def _held(observability: Observability) -> FloatArray:
+    """Return (6, 6), the information that keeps what is unobserved where the answer has it.
+
+    Else noise, which tilts an open direction a little, would spill metres into the others.
+    """
+    held = np.zeros((6, 6))
+    for item in observability.weak_axes:
+        if item.status == UNOBSERVED:
+            part = slice(0, 3) if item.kind == 'translation' else slice(3, 6)
+            held[part, part] += _HELD * np.outer(item.axis, item.axis)
+    return held
+
+
+def _bounded_inverse(information: FloatArray, held: FloatArray) -> FloatArray:
+    """Return the inverse with a prior of ``UNKNOWN``: what is not seen stays where it is."""
+    information = information + held
+    values, vectors = np.linalg.eigh(UNKNOWN[:, None] * information * UNKNOWN)
+    root = UNKNOWN[:, None] * vectors / np.sqrt(np.maximum(values, 0.0) + 1.0)
+    inverse: FloatArray = root @ root.T
+    return inverse
+
+
+def _long_run(scores: FloatArray, window: int) -> FloatArray:
+    """Return (6, 6), the covariance of the sum of correlated (M, 6) scores."""
+    total = scores.T @ scores
+    for lag in range(1, window + 1):
+        product = scores[lag:].T @ scores[:-lag]
+        total = total + (1 - lag / (window + 1)) * (product + product.T)
+    values, vectors = np.linalg.eigh(total)
+    clipped: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return clipped
+
+
+def _growth(
+    tracks: Tracks, scores: _Scores, result: CalibrationResult, held: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return times and (T, 6) standard deviations, which end at those of the answer."""
+    running = np.cumsum(scores.information, axis=0)
+    ends = np.unique(np.linspace(
+        len(running) / _CURVE, len(running), _CURVE).astype(np.intp)) - 1
+    ends = ends[ends >= 0]
+    std = np.array([np.sqrt(np.diagonal(_bounded_inverse(running[end], held))) for end in ends])
+    if result.covariance is not None:
+        stated = np.sqrt(np.maximum(np.diagonal(result.covariance), 0.0))
+        std *= stated / np.maximum(std[-1], 1e-300)
+    std = np.minimum(std, UNKNOWN)
+    unknown = [status == UNOBSERVED for status in result.observability.status.values()]
+    std[:, unknown] = np.nan
+    return tracks.seconds[scores.start[ends]], _degrees(std)
+
+
+def _degrees(rows: list[FloatArray] | FloatArray) -> FloatArray:
+    found = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    found[:, 3:] = np.rad2deg(found[:, 3:])
+    return found

@@ -1,0 +1,126 @@
+"""What a calibration was made of: enough to repeat it, or to tell that it was another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+import hashlib
+from html import escape
+from pathlib import Path
+import platform
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.outputs.report.text import table
+from trajectory_calibration.version import __version__
+
+_BLOCK = 1 << 20
+
+GLOSSARY = (
+    ('extrinsic T_a_b', 'pose of sensor b in sensor a: p_a = T_a_b p_b'),
+    ('standard deviation, σ', ('the error is smaller than this in about 68 of 100 drives, smaller '
+     'than 2 σ in 95')),
+    ('status', ('ok: deviation below the limit of the settings; weak: above it; unknown: not '
+     'determined by the motion; prior: the value was given beforehand')),
+    ('motion', 'relative pose between two instants; A of sensor a, B of sensor b: A X = X B'),
+    ('residual', ('what is left of a motion of a after that of b, carried over to a, is taken '
+     'off; small residuals alone do not prove a good extrinsic')),
+    ('jump', ('a step in which the trajectories part at once: loop closure, relocalisation or '
+     'restart of a SLAM; excluded')),
+    ('gap', 'a time in which a sensor has no poses'),
+    ('drift', 'error of a trajectory that grows with the distance'),
+    ('roll, pitch, yaw', 'turns about the fixed x, then y, then z axis of a, as in URDF'),
+)
+
+
+@dataclass(frozen=True)
+class Input:
+    """One input file: its role, name, size in bytes and SHA-256."""
+
+    role: str
+    name: str
+    size: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Record:
+    """Where a report comes from.
+
+    Attributes
+    ----------
+    command : the command line that repeats it; empty where it was made from Python.
+    inputs : the files that were read.
+
+    """
+
+    command: str = ''
+    inputs: tuple[Input, ...] = field(default=())
+
+
+def hash_inputs(paths: Iterable[tuple[str, Path]]) -> tuple[Input, ...]:
+    """Return the inputs of (role, path); of a folder, a bag, its files one by one."""
+    found = []
+    for role, path in paths:
+        files = sorted(item for item in path.rglob('*') if item.is_file()) \
+            if path.is_dir() else [path]
+        for item in files:
+            digest = hashlib.sha256()
+            try:
+                with item.open('rb') as stream:
+                    while block := stream.read(_BLOCK):
+                        digest.update(block)
+                found.append(Input(role, str(item), item.stat().st_size, digest.hexdigest()))
+            except OSError as error:
+                found.append(Input(role, str(item), 0, f'not readable: {error.strerror}'))
+    return tuple(found)
+
+
+def versions() -> str:
+    """Return the versions that an answer may depend on."""
+    return (f'trajectory_calibration {__version__}, Python {platform.python_version()}, '
+            f'NumPy {np.__version__}, {platform.system()} {platform.machine()}')
+
+
+def record_cards(
+    record: Record, config: CalibrationConfig, findings: str, result_version: str = '',
+) -> str:
+    """Return the cards of inputs, command, settings, versions, findings and glossary."""
+    cards = [_card('Findings', findings)]
+    if record.inputs:
+        cards.append(_card('Inputs', table(
+            ('sensor', 'file', 'bytes', 'SHA-256'),
+            [(item.role, item.name, f'{item.size:,}', item.sha256) for item in record.inputs])))
+    if record.command:
+        cards.append(_card('Command to repeat it', f'<pre>{escape(record.command)}</pre>'))
+    cards += [
+        _card('Settings', _settings(config)),
+        _card('Versions', f'<p>{escape(versions())}'
+              + (f'; result made by {escape(result_version)}' if result_version else '') + '</p>'),
+        _card('Glossary', '<dl>' + ''.join(
+            f'<dt>{escape(word)}</dt><dd>{escape(meaning)}</dd>' for word, meaning in GLOSSARY)
+            + '</dl>')]
+    return ''.join(cards)
+
+
+def _card(title: str, inside: str) -> str:
+    return f'<div class="card"><h3>{title}</h3>{inside}</div>'
+
+
+def _settings(config: CalibrationConfig) -> str:
+    changed: list[tuple[str, ...]] = []
+    usual: list[tuple[str, ...]] = []
+    for option in config.options():
+        value: Any = getattr(config, option.name)
+        row = (option.name, _shown(value), _shown(option.default))
+        (usual if value == option.default else changed).append(row)
+    head = ('setting', 'value', 'default')
+    first = table(head, changed) if changed else '<p>All settings at their defaults.</p>'
+    return (f'{first}<details><summary>All other settings</summary>'
+            f'{table(head[:2], [row[:2] for row in usual])}</details>')
+
+
+def _shown(value: Any) -> str:
+    return '–' if value == '' else str(value)

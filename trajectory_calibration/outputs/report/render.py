@@ -1,0 +1,138 @@
+"""A result, or the reason why there is none, as one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.findings import Finding, worst_first
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import answer_rows
+from trajectory_calibration.outputs.report import drawings as draw
+from trajectory_calibration.outputs.report.box import verdict_box
+from trajectory_calibration.outputs.report.clocks import compare_clocks
+from trajectory_calibration.outputs.report.copies import copies
+from trajectory_calibration.outputs.report.data import report_data, ReportData
+from trajectory_calibration.outputs.report.page import page, style
+from trajectory_calibration.outputs.report.record import Record, record_cards, versions
+from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
+from trajectory_calibration.outputs.report.text import figure, legend, section
+from trajectory_calibration.outputs.report.view3d import single_track
+from trajectory_calibration.outputs.verdict import judge
+from trajectory_calibration.result import CalibrationResult
+
+
+def render_report(
+    result: CalibrationResult, a: Trajectory, b: Trajectory, *,
+    T_a_b_true: FloatArray | None = None, record: Record | None = None,
+) -> str:
+    """Return the report of a result with the trajectories that it was made from.
+
+    Raises
+    ------
+    AssociationError
+        The trajectories have no common time under the clock of the result.
+
+    """
+    return render(report_data(result, a, b, T_a_b_true), record)
+
+
+def render(data: ReportData, record: Record | None = None) -> str:
+    """Return the report of what was computed."""
+    result = data.result
+    box = verdict_box(
+        result, data.rows, judge(result, data.rows), copies(result), _driven(data))
+    last = section(6, 'Record', record_cards(
+        record or Record(), result.config, _findings(result), result.version))
+    return page(
+        f'{result.frame_a} → {result.frame_b}: calibration report', box + sections(data) + last,
+        navigation=NAVIGATION, made_by=versions())
+
+
+def _driven(data: ReportData) -> str:
+    path = float(data.tracks.path_m[-1])
+    length = f'{1e-3 * path:.2f} km' if path >= 1000 else f'{path:.3g} m'
+    return f'{length} in {float(data.tracks.seconds[-1]):.0f} s'
+
+
+def render_box(result: CalibrationResult) -> str:
+    """Return the verdict box alone, with its style, for a notebook."""
+    rows = answer_rows(result)
+    box = verdict_box(result, rows, judge(result, rows), '')
+    # In a frame of its own, so that the style stays inside.
+    inside = f'<style>{style()} body{{background:none}}</style><main>{box}</main>'
+    return (f'<iframe srcdoc="{escape(inside)}" style="width:100%;height:430px;border:0" '
+            'title="verdict"></iframe>')
+
+
+def render_failure(
+    error: str, trajectories: tuple[Trajectory, ...], *, config: CalibrationConfig | None = None,
+    record: Record | None = None,
+) -> str:
+    """Return the report of a calibration without an answer: the inputs, the error, what to do.
+
+    ``trajectories`` are those that could be read: a and b, or fewer.
+    """
+    reason, _, advice = error.rpartition('; ')
+    reason, advice = (reason, advice) if reason else (error, '')
+    step = f'<p class="next"><b>Next</b> {escape(_sentence(advice))}</p>' if advice else ''
+    box = ('<section class="verdict failed"><div class="head"><h1>Calibration failed</h1>'
+           '<p class="badge">No answer</p></div>'
+           f'<p class="error">{escape(_sentence(reason))}</p>{step}</section>')
+    figures = ''.join(_input_figure(name, trajectory)
+                      for name, trajectory in zip('ab', trajectories, strict=False))
+    if len(trajectories) == 2:
+        figures += _together(*trajectories)
+    body = section(1, 'What was found of the inputs', figures) if figures else ''
+    findings = finding_list(
+        found for trajectory in trajectories for found in trajectory.findings)
+    last = section(2, 'Record', record_cards(
+        record or Record(), config or CalibrationConfig(), findings))
+    return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'),
+                made_by=versions())
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:] + ('' if text.endswith('.') else '.')
+
+
+def _findings(result: CalibrationResult) -> str:
+    return finding_list(result.findings)
+
+
+def finding_list(findings: Iterable[Finding]) -> str:
+    """Return the findings with their levels and codes, worst first."""
+    rows = ''.join(
+        f'<li><span class="level {found.level}">{found.level}</span><code>{found.code}</code>'
+        f'<span>{escape(found.text)}</span></li>' for found in worst_first(findings))
+    return f'<ul class="findings">{rows}</ul>' if rows else '<p>None.</p>'
+
+
+def _input_figure(name: str, trajectory: Trajectory) -> str:
+    length = float(np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)))
+    turned = float(np.rad2deg(np.sum(np.linalg.norm(trajectory.turns, axis=1))))
+    reading = (f'{len(trajectory):,} poses over {trajectory.duration_s:.1f} s '
+               f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length:.3g} m, turned '
+               f'{turned:.3g} deg in all.')
+    return figure(f'Track of {name}: {trajectory.sensor_frame}',
+                  single_track(trajectory.positions, f'line-{name}'), reading,
+                  'the path that was driven, with curves', 'a straight line, a cloud or a point')
+
+
+def _together(a: Trajectory, b: Trajectory) -> str:
+    clocks = compare_clocks(a, b)
+    apart = (int(b.stamps_ns[0]) - int(a.stamps_ns[0])) * 1e-9
+    strip = figure(
+        'Times with poses', draw.gap_strip(clocks),
+        f'The first pose of b is {apart:+.3f} s from that of a.',
+        'two full bars of equal length', 'bars that do not overlap: wrong clock or other drives')
+    curves = figure(
+        'Angular rates as recorded', draw.rates(clocks), 'Both sensors of one vehicle turn by '
+        'the same angle at the same time.',
+        'curves of one shape, perhaps shifted', 'other shapes: other vehicles, topics or drives',
+        legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))
+    return strip + curves

@@ -1,0 +1,39 @@
+"""HTML in small pieces: escaped text, numbers, figures with their captions."""
+
+from __future__ import annotations
+
+from html import escape
+
+
+def figure(title: str, picture: str, reading: str, good: str, bad: str, *, wide: bool = False,
+           legend: str = '') -> str:
+    """Return a figure with what it says here, and what good and bad look like."""
+    style = ' class="wide"' if wide else ''
+    return (
+        f'<figure{style}><h3>{escape(title)}</h3>{legend}{picture}<figcaption>'
+        f'<p class="reading">{escape(reading)}</p>'
+        f'<p><b>Good:</b> {escape(good)}. <b>Bad:</b> {escape(bad)}.</p>'
+        '</figcaption></figure>')
+
+
+def legend(*items: tuple[str, str]) -> str:
+    """Return a legend of (style, name)."""
+    inside = ''.join(f'<span><i class="key {style}"></i>{escape(name)}</span>'
+                     for style, name in items)
+    return f'<p class="legend">{inside}</p>'
+
+
+def section(number_: int, title: str, inside: str, lead: str = '') -> str:
+    """Return a numbered section of the page."""
+    words = f'<p class="lead">{escape(lead)}</p>' if lead else ''
+    return (f'<section id="s{number_}"><h2><span>{number_}</span>{escape(title)}</h2>{words}'
+            f'<div class="grid">{inside}</div></section>')
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]], style: str = '') -> str:
+    """Return a table of escaped cells."""
+    top = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    body = ''.join(
+        '<tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row) + '</tr>' for row in rows)
+    return (f'<div class="scroll"><table class="{style}"><thead><tr>{top}</tr></thead>'
+            f'<tbody>{body}</tbody></table></div>')

@@ -1,0 +1,168 @@
+"""Where a went, and where b says that a went: the two tracks of a result, side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.assessment.variogram import identify_noise, PairNoise, step_lengths
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.time_alignment.align import match_at
+from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
+
+# A step in which the tracks part by this many usual ones is a jump, for solvers that name none.
+_JUMP = 12.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """The poses of a, and those of a as b reports them through the extrinsic.
+
+    Attributes
+    ----------
+    pairs : poses of both at common times; clock, scale and drift of b corrected.
+    poses_c : (K, 4, 4), sensor a as b reports it, moved as a whole onto the track of a.
+    seconds : (K,) from the first pair.
+    path_m : (K,) driven by a until then.
+    distance_m, angle_deg : (K,) between the two.
+    jumps : (J,) indices of the poses after a jump.
+    gaps : (G,) indices of the poses before a pause of either sensor.
+    noise : of both sensors together, or None where it cannot be told.
+
+    """
+
+    pairs: PosePairs
+    poses_c: FloatArray
+    seconds: FloatArray
+    path_m: FloatArray
+    distance_m: FloatArray
+    angle_deg: FloatArray
+    jumps: NDArray[np.intp]
+    gaps: NDArray[np.intp]
+    noise: PairNoise
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """(K - 1,) steps without a jump."""
+        usable = np.ones(len(self) - 1, dtype=bool)
+        usable[self.jumps - 1] = False
+        return usable
+
+
+def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
+    """Return b in the clock and the unit of a, as the result has them."""
+    b = b.retimed(result.clock_drift, result.clock_drift_from_ns).scaled(result.scale)
+    shift_ns = round(result.time_offset_s * 1e9)
+    return Trajectory(b.stamps_ns + shift_ns, b.poses, b.world_frame, b.sensor_frame)
+
+
+def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> Tracks:
+    """Carry b over to a with a result; raises AssociationError where they do not meet."""
+    clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
+    pairs = match_at(a, b.scaled(result.scale), clock, result.config)
+    poses_b = _without_drift(pairs.poses_b, result.diagnosis)
+    pairs = PosePairs(pairs.stamps_ns, pairs.poses_a, poses_b, pairs.summary)
+    poses_c = poses_b @ se3.inverse(result.T_a_b)
+    poses_c = _registration(pairs.poses_a, poses_c) @ poses_c
+    jumps = _jumps(result.diagnosis, pairs, poses_c)
+    usable = np.ones(len(pairs) - 1, dtype=bool)
+    usable[jumps - 1] = False
+    step = np.diff(pairs.stamps_ns)
+    limit = max(longest_step_ns(a), longest_step_ns(b))
+    apart = np.swapaxes(pairs.poses_a[:, :3, :3], 1, 2) @ poses_c[:, :3, :3]
+    length = np.linalg.norm(np.diff(pairs.poses_a[:, :3, 3], axis=0), axis=1)
+    return Tracks(
+        pairs, poses_c,
+        seconds=(pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9,
+        path_m=np.concatenate([[0.0], np.cumsum(length)]),
+        distance_m=np.linalg.norm(pairs.poses_a[:, :3, 3] - poses_c[:, :3, 3], axis=1),
+        angle_deg=np.rad2deg(se3.rotation_angle(apart)),
+        jumps=jumps,
+        gaps=np.flatnonzero(step > limit),
+        noise=identify_noise(pairs.poses_a, poses_c, usable))
+
+
+def motion_covariance(
+    tracks: Tracks, T_a_b: FloatArray, A: FloatArray, distance: FloatArray,
+) -> FloatArray:
+    """Return (M, 6, 6), what noise does to ``log(A^-1 C)`` of (M, 4, 4) motions over distances.
+
+    The noise of the first pose reaches the translation through the length of the motion, that
+    of the way through a third of its square.
+    """
+    white = tracks.noise.white_covariance(T_a_b)
+    walk = tracks.noise.walk_covariance(T_a_b)
+    far = se3.adjoint(se3.inverse(A))
+    near = A.copy()
+    near[:, :3, 3] /= np.sqrt(3.0)
+    Ad = se3.adjoint(se3.inverse(near))
+    covariance = white + far @ white @ np.swapaxes(far, 1, 2)
+    covariance += distance[:, None, None] * (Ad @ walk @ np.swapaxes(Ad, 1, 2))
+    return covariance
+
+
+def distances(tracks: Tracks) -> FloatArray:
+    """Return (K,) the distance that drift is counted in."""
+    return np.concatenate([[0.0], np.cumsum(step_lengths(tracks.pairs.poses_a))])
+
+
+def _without_drift(poses_b: FloatArray, diagnosis: dict[str, Any] | None) -> FloatArray:
+    """Take a constant drift per metre, that was identified, out of the positions of b."""
+    drift = np.asarray((diagnosis or {}).get('systematic_drift', (0, 0, 0)), dtype=np.float64)
+    if not drift.any():
+        return poses_b
+    steps = np.diff(poses_b[:, :3, 3], axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    steps -= length[:, None] * (poses_b[:-1, :3, :3] @ drift)
+    corrected = poses_b.copy()
+    corrected[1:, :3, 3] = poses_b[0, :3, 3] + np.cumsum(steps, axis=0)
+    return corrected
+
+
+def _registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
+    """Return (4, 4), what moves one track as a whole onto another, by rotations and positions."""
+    R_a, R_c = poses_a[:, :3, :3], poses_c[:, :3, :3]
+    by_rotation = np.einsum('kij,klj->il', R_a, R_c) / len(poses_a)
+    p_a, p_c = poses_a[:, :3, 3], poses_c[:, :3, 3]
+    mean_a, mean_c = p_a.mean(axis=0), p_c.mean(axis=0)
+    by_position = (p_a - mean_a).T @ (p_c - mean_c) / len(p_a)
+    R = se3.nearest_rotation(by_rotation)
+    # Each counts by how well it agrees.
+    turn = float(np.mean(se3.rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_c) ** 2))
+    shift = float(np.mean(np.sum((p_a - mean_a - (p_c - mean_c) @ R.T) ** 2, axis=1)))
+    R = se3.nearest_rotation(
+        by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
+    return se3.from_rotation_translation(R, mean_a - R @ mean_c)
+
+
+def _jumps(
+    diagnosis: dict[str, Any] | None, pairs: PosePairs, poses_c: FloatArray,
+) -> NDArray[np.intp]:
+    """Return the indices of the poses after a jump: as named by the solver, or by their size."""
+    if diagnosis is not None:
+        stamps = np.array([jump['stamp_ns'] for jump in diagnosis['jumps']], dtype=np.int64)
+        after = np.searchsorted(pairs.stamps_ns, stamps)
+        after = np.clip(after, 1, len(pairs) - 1)
+        before = np.maximum(after - 1, 1)
+        nearer = (np.abs(pairs.stamps_ns[before] - stamps)
+                  < np.abs(pairs.stamps_ns[after] - stamps))
+        return np.unique(np.where(nearer, before, after))
+    A = se3.inverse(pairs.poses_a[:-1]) @ pairs.poses_a[1:]
+    C = se3.inverse(poses_c[:-1]) @ poses_c[1:]
+    parted = se3.log_se3(se3.inverse(A) @ C)
+    found = np.zeros(len(parted), dtype=bool)
+    for part in (parted[:, :3], parted[:, 3:]):
+        size = np.linalg.norm(part, axis=1)
+        found |= size > max(_JUMP * float(np.median(size)), 1e-9)
+    return np.flatnonzero(found) + 1
