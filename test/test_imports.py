@@ -17,6 +17,7 @@ FLOW = (
     ('errors', 'version'),
     ('geometry',),
     ('data',),
+    ('solvers.registry',),
     ('solvers.__init__',),
     ('config',),
     ('time_alignment', 'sources', 'simulation'),

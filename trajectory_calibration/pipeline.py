@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import parted_steps, require_agreement
 from trajectory_calibration.assessment.metrics import relative_errors
-from trajectory_calibration.assessment.observability import observe, require_observed
+from trajectory_calibration.assessment.observability import observe, require_motion_beyond_noise
 from trajectory_calibration.assessment.prior_update import apply_prior, contradictions
 from trajectory_calibration.assessment.reference_selection import choose_reference
 from trajectory_calibration.config.settings import CalibrationConfig
@@ -79,11 +79,7 @@ def calibrate(
             solution = solve(motions, config)
         except SolverError:
             # What two vehicles did may have no solution, which is then not what is wrong.
-            aligned = None
-            with suppress(MotionError, SolverError):
-                aligned = load_solver('park')(motions, config).T_a_b
-            if aligned is not None:
-                require_agreement(aligned, *agreed)
+            require_agreement(None, *agreed)
             raise
         require_agreement(solution.T_a_b, *agreed)
         uncertainty = estimate_uncertainty(solution, motions)
@@ -93,8 +89,8 @@ def calibrate(
         metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
         observability = observe(
             motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
-        if not config.allow_unobserved:
-            require_observed(observability)
+        require_motion_beyond_noise(
+            observability, solution.T_a_b, pairs.scaled(solution.scale))
     return CalibrationResult(
         frame_a=trajectory_a.sensor_frame,
         frame_b=trajectory_b.sensor_frame,

@@ -1,6 +1,6 @@
 """Covariances are judged by coverage: errors against a known truth, over many seeds."""
 
-from motion_data import random_pose, wander
+from motion_data import random_pose, stamps, wander
 import numpy as np
 import pytest
 
@@ -153,7 +153,7 @@ def test_noise_is_identified():
         other.append(other[-1] @ step)
     other = np.array(other) @ se3.exp_se3(
         rng.normal(size=(3000, 6)) * np.repeat([0.01, 0.002], 3))
-    found = identify_noise(body, other)
+    found = identify_noise(stamps(len(body)), body, other)
     assert found.white_translation == pytest.approx(0.01, rel=0.1)
     assert found.white_rotation == pytest.approx(0.002, rel=0.1)
     assert found.walk_translation == pytest.approx(0.02, rel=0.3)

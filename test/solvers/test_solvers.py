@@ -46,11 +46,6 @@ def solve(name, a, b, reference='B5', **settings):
     return load_solver(name)(motions, config)
 
 
-def planar(rng, poses=100):
-    """Return a body that turns about z of a only."""
-    return wander(rng, poses=poses, translation=(0.1, 0.02, 0.0), rotation=(0, 0, 0.1))
-
-
 # Laws -----------------------------------------------------------------------------------------
 
 
@@ -163,41 +158,11 @@ def test_error_under_white_noise_is_of_the_order_of_sigma(name, lag, factor):
 # Too little motion ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize('name', PAPER)
-def test_straight_driving_is_refused(name):
-    rng = np.random.default_rng(0)
-    a, b = sensor_pair(rng, CAMERA, rotation=(0, 0, 0))
-    with pytest.raises(MotionError, match='did not turn'):
-        solve(name, a, b)
-
-
 @pytest.mark.parametrize('name', [*PAPER, 'drift_aware'])
 def test_standing_still_is_refused(name):
     still = np.tile(np.eye(4), (50, 1, 1))
     a, b = sensor_pair(np.random.default_rng(0), CAMERA, body=still)
     with pytest.raises(MotionError, match='did not turn'):
-        solve(name, a, b)
-
-
-@pytest.mark.parametrize('name', JOINT)
-def test_planar_motion_names_the_free_direction(name):
-    a, b = sensor_pair(np.random.default_rng(1), CAMERA, body=planar(np.random.default_rng(2)))
-    with pytest.raises(MotionError, match=r'translation along \(0.00, 0.00, 1.00\) in a'):
-        solve(name, a, b)
-
-
-@pytest.mark.parametrize('name', SEPARABLE)
-def test_a_single_axis_is_refused_and_named(name):
-    a, b = sensor_pair(np.random.default_rng(1), CAMERA, body=planar(np.random.default_rng(2)))
-    with pytest.raises(MotionError, match=r'share one axis \(-?0.00, -?0.00, -?1.00 in a\)'):
-        solve(name, a, b)
-
-
-@pytest.mark.parametrize('name', JOINT)
-def test_turning_on_the_spot_about_one_axis_is_refused(name):
-    body = wander(np.random.default_rng(3), translation=(0, 0, 0), rotation=(0, 0, 0.1))
-    a, b = sensor_pair(np.random.default_rng(4), CAMERA, body=body)
-    with pytest.raises(MotionError, match='is not determined'):
         solve(name, a, b)
 
 
@@ -237,7 +202,7 @@ def test_half_turns_are_left_out(name):
     assert found.e_at < 0.005
     assert found.e_aR < 0.005
     np.testing.assert_array_equal(solution.inliers, angles < 3)
-    assert 'turn by more than 170 degrees, where noise flips' in solution.warnings[0]
+    assert 'turn by more than 170 degrees, where noise flips' in str(solution.findings[0])
     covariance = calibrate(a, b, CalibrationConfig(solver=name, reference='B1')).covariance
     assert np.sqrt(covariance.diagonal()).max() < 0.01
 
@@ -257,7 +222,7 @@ def test_half_turns_from_the_first_pose_are_kept_as_published():
     rng = np.random.default_rng(2)
     solution = solve('park', *stepping(rng, CAMERA, np.full(100, 0.5)), 'A')
     assert solution.inliers is None
-    assert 'they are kept, as published' in solution.warnings[0]
+    assert 'they are kept, as published' in str(solution.findings[0])
 
 
 # The quadratic form ---------------------------------------------------------------------------
@@ -271,14 +236,27 @@ def noisy_motions(seed, reference='B3', poses=60, sigma=0.02):
     return select_motions(associate(a, b), reference)
 
 
-def test_the_equations_are_the_entries_of_the_residual():
+def test_the_features_are_the_squares_of_the_residual():
     motions = noisy_motions(0)
     X = random_pose(np.random.default_rng(1))
-    E = quadratic.equations(motions.A, motions.B)
-    M = motions.A @ X - X @ motions.B
-    found = E @ quadratic.monomials(X)
-    np.testing.assert_allclose(found[:, :9], M[:, :3, :3].reshape(-1, 9), atol=1e-13)
-    np.testing.assert_allclose(found[:, 9:], M[:, :3, 3], atol=1e-13)
+    v = quadratic.monomials(X)
+    products = v[quadratic.UPPER[0]] * v[quadratic.UPPER[1]]
+    M = (motions.A @ X - X @ motions.B)[:, :3]
+    np.testing.assert_allclose(
+        products @ quadratic.features(motions.A, motions.B), np.sum(M**2, axis=(1, 2)), rtol=1e-12)
+    np.testing.assert_allclose(
+        products @ quadratic.features(motions.A, motions.B, rotation=False),
+        np.sum(M[:, :, 3]**2, axis=1), rtol=1e-12)
+
+
+def test_a_newton_step_on_the_whole_extrinsic_ends_at_the_minimum():
+    motions = noisy_motions(1, sigma=0.005)
+    G = quadratic.gram(motions)
+    best = quadratic.minimise(G).T_a_b
+    T = se3.moved(best, 1e-4 * np.random.default_rng(0).normal(size=6))
+    for _ in range(3):
+        T = quadratic.newton_step(G, T, len(motions))
+    np.testing.assert_allclose(T, best, atol=1e-10)
 
 
 def test_the_gram_matrix_gives_the_cost_over_chunks(monkeypatch):
@@ -406,7 +384,7 @@ def test_dnlo_that_keeps_no_motion_says_what_to_set(method, allow_unobserved, c,
     motions = noisy_motions(5, sigma=0.005)
     config = CalibrationConfig(dnlo_c=c, dnlo_min_inliers=d, dnlo_method=method,
                                allow_unobserved=allow_unobserved)
-    with pytest.raises(MotionError, match=r'dnlo keeps [01] of 57 motions.* raise dnlo_c or dnlo'):
+    with pytest.raises(MotionError, match=r'dnlo keeps [01] of 57 motions.* Raise dnlo_c or dnlo'):
         load_solver('dnlo')(motions, config)
 
 
@@ -423,11 +401,11 @@ def test_dnlo_weights_are_the_best_for_their_extrinsic():
     motions = noisy_motions(7, poses=30)
     X = random_pose(np.random.default_rng(0))
     for c, d in ((0.5, 0.5), (1e-9, 0.55), (1e9, 0.5)):
-        cost = TrimmedCost(motions, c, d)
+        cost = TrimmedCost.of(motions, c, d)
         found = cost.weigh(X[None])
         squares = np.array([np.sum(m ** 2) for m in (motions.A @ X - X @ motions.B)[:, :3]])
-        np.testing.assert_allclose(cost.squares(X[None])[:, 0], squares, rtol=1e-10)
-        weights = found.weights[:, 0]
+        np.testing.assert_allclose(cost.squares(X[None])[0], squares, rtol=1e-10)
+        weights = found.weights[0]
         assert weights.sum() >= d * len(motions) - 1e-9
         best = np.sort(squares)
         needed = d * len(motions)
@@ -439,7 +417,7 @@ def test_dnlo_weights_are_the_best_for_their_extrinsic():
 
 def test_dnlo_alternation_never_goes_up():
     motions = noisy_motions(8, poses=80, sigma=0.05)
-    cost = TrimmedCost(motions, 0.01, 0.5)
+    cost = TrimmedCost.of(motions, 0.01, 0.5)
     starts = np.array([random_pose(np.random.default_rng(k)) for k in range(6)])
     before = cost.weigh(starts).cost.min()
     after, _ = cost.alternate(starts)
@@ -454,8 +432,8 @@ def test_dnlo_alternation_never_goes_up():
 def test_zhuang_warns_where_its_parameter_magnifies_noise():
     rng = np.random.default_rng(0)
     solution = solve('zhuang', *sensor_pair(rng, BACK_TO_BACK))
-    assert 'turned by 180 degrees' in solution.warnings[0]
-    assert solve('zhuang', *sensor_pair(rng, IDENTITY)).warnings == ()
+    assert 'turned by 180 degrees' in str(solution.findings[0])
+    assert solve('zhuang', *sensor_pair(rng, IDENTITY)).findings == ()
 
 
 def test_zhuang_uses_motions_that_do_not_turn_for_their_translation():

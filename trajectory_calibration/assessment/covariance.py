@@ -42,7 +42,7 @@ from trajectory_calibration.assessment.variogram import identify_noise, PairNois
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import SolverError
-from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Linearise, Solution
@@ -52,9 +52,6 @@ _MOTIONS_FOR_DRIFT = 4000
 
 # A drift of this much per metre is none, and its effect on an answer beyond any linearisation.
 _LARGEST_DRIFT = 0.2
-
-# Chi-square of three degrees of freedom that chance exceeds once in a thousand.
-_SIGNIFICANT_DRIFT = 16.27
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +103,8 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     usable = None if weights is None else _spanned_steps(motions, weights)
     trusted = None if weights is None else _ends(motions, weights)
     poses_c = X @ motions.pairs.poses_b @ se3.inverse(X)
-    noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
+    noise = identify_noise(
+        motions.pairs.stamps_ns, motions.pairs.poses_a, poses_c, usable, trusted)
     found = _analyse(X, motions, w, noise, poses_c, linearise)
     # The rotations alone tell a drift from a turned sensor; a joint solver takes one for the
     # other, and its own equations could not say.
@@ -127,7 +125,8 @@ def estimate_uncertainty(solution: Solution, motions: MotionPairs) -> Uncertaint
     moved = se3.moved(X, step)
     poses_c = _without_drift(
         moved @ motions.pairs.poses_b @ se3.inverse(moved), motions.pairs.poses_a, drift)
-    noise = identify_noise(motions.pairs.poses_a, poses_c, usable, trusted)
+    noise = identify_noise(
+        motions.pairs.stamps_ns, motions.pairs.poses_a, poses_c, usable, trusted)
     rest = _analyse(moved, motions, w, noise, poses_c, linearise)
     return rest.uncertainty(step, drift=-drift)
 
@@ -213,7 +212,7 @@ def _analyse(
     drift = -with_drift @ sums.score
     drift_covariance = inflation * with_drift @ meat @ with_drift.T
     chi_square = drift @ np.linalg.pinv(drift_covariance, rcond=1e-12) @ drift
-    drifts = chi_square > _SIGNIFICANT_DRIFT and not opens_rotation(unobserved)
+    drifts = chi_square > chi_squared.quantile(3) and not opens_rotation(unobserved)
     return _Analysis(
         covariance=inflation * inverse @ meat[:6, :6] @ inverse.T,
         bias=-inverse @ sums.clean_score,

@@ -16,16 +16,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.data.motion_pairs import MotionPairs, parse_reference, select_motions
+from trajectory_calibration.data.motion_pairs import (
+    lag_grid,
+    MotionPairs,
+    parse_reference,
+    select_motions,
+)
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.solution import Linearise
-
-# Standard deviations that stand for "unknown", metres and radians: no two sensors of one vehicle
-# are farther apart. More would let the unknown direction, which noise tilts, spill into others.
-UNKNOWN = np.array([10.0] * 3 + [np.pi] * 3)
+from trajectory_calibration.solvers.solution import Linearise, UNKNOWN
 
 # Motions that are linearised at once.
 CHUNK = 2048
@@ -46,8 +47,9 @@ _SIGNIFICANT = 4.0
 # A disagreement of this many usual ones is a glitch.
 _GLITCH = 20.0
 
-# Lags at which the motion of a solver without a reference is judged, and motions that suffice.
-_LAGS = (5, 20, 80)
+# Lags, seconds, at which the motion of a solver without a reference is judged, and motions that
+# suffice.
+_LAGS = (0.5, 2.0, 8.0)
 _MOTIONS = 4000
 
 
@@ -135,9 +137,8 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     Over several lags, and by the one that shows most: noise hides short motions.
     """
     poses_c = T_a_b @ pairs.poses_b @ se3.inverse(T_a_b)
-    lags = [lag for lag in _LAGS if len(pairs) > 2 * lag] or [1]
     found = []
-    for lag in lags:
+    for lag in lag_grid(pairs.stamps_ns, _LAGS):
         motions = _plausible(T_a_b, thinned(select_motions(pairs, f'B{lag}'), _MOTIONS))
         shared, own = np.zeros((6, 6)), np.zeros((6, 6))
         for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):

@@ -17,7 +17,7 @@ import numpy as np
 from trajectory_calibration.assessment.excitation import thinned
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, MotionError
@@ -25,8 +25,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.align import match
 
-# Lags that are looked at: short ones have fewer jumps in them, long ones turn farther.
-_LAGS = (1, 2, 5, 20, 80)
+# Lags, seconds, that are looked at: short ones have fewer jumps in them, long ones turn farther.
+_LAGS = (0.1, 0.2, 0.5, 2.0, 8.0)
 _MOTIONS = 4000
 # With so few of them, the best one counts, otherwise the second best.
 _TOO_FEW_LAGS = 2
@@ -50,7 +50,8 @@ _PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
 
 
 def require_agreement(
-    T_a_b: FloatArray, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+    T_a_b: FloatArray | None, pairs: PosePairs, a: Trajectory, b: Trajectory,
+    config: CalibrationConfig,
 ) -> None:
     """Raise MotionError where the sensors turned, but not together.
 
@@ -60,9 +61,9 @@ def require_agreement(
     turns = list(_turns(pairs))
     if not turns:
         return
-    R = T_a_b[:3, :3]
-    found = _usual([_disagreement(turn_a, turn_b @ R.T) for turn_a, turn_b in turns])
     possible = _least_disagreement(turns)
+    found = possible if T_a_b is None else _usual(
+        [_disagreement(turn_a, turn_b @ T_a_b[:3, :3].T) for turn_a, turn_b in turns])
     inverted = _least_if_inverted(a, b, config) if possible > _SUSPICIOUS else np.inf
     if inverted < _MUCH_LESS * possible:
         advice = ('they would agree if the poses of one of them were inverted, or its quaternions '
@@ -136,9 +137,7 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
 
 def _turns(pairs: PosePairs) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield (K, 3) turns of a and of b over each lag that has enough large ones."""
-    for lag in _LAGS:
-        if lag > len(pairs) // 2:
-            return
+    for lag in lag_grid(pairs.stamps_ns, _LAGS):
         motions = thinned(select_motions(pairs, f'B{lag}'), _MOTIONS)
         turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
         size = _size(turn_a, turn_b)

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import UNKNOWN
+from trajectory_calibration.assessment.excitation import split_pairs
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.motion_pairs import MotionPairs
+from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -169,22 +170,25 @@ def observe(
               for item in weak_axes))
 
 
-def require_observed(observability: Observability) -> None:
-    """Raise MotionError where neither the motion nor a prior says anything of the answer.
+def require_motion_beyond_noise(
+    observability: Observability, T_a_b: FloatArray, pairs: PosePairs,
+) -> None:
+    """Raise MotionError where the trajectories hold no motion, as of a vehicle at rest.
 
-    One direction that is known is an answer, of which the rest is flagged; none is no answer.
-    Whatever the limits of the user, a rotation within ``_LOST`` degrees is something.
+    One direction that is known is an answer, of which the rest is flagged. Where a solver knows
+    none, whatever the limits of the user, the motion itself tells whether there was any:
+    ``pairs`` at the answer ``T_a_b``.
     """
     # Not by axis of the sensor: one blind direction across all of them would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
     best = {item.kind: item.std for item in blind}
     if len(blind) < len(DEGREES_OF_FREEDOM) or best['rotation'] < _LOST:
         return
-    raise MotionError(
-        'the motion determines nothing of the extrinsic: in no direction is it known better than '
-        f'to {min(best["translation"], UNKNOWN[0]):.2g} m or '
-        f'{min(best["rotation"], np.rad2deg(UNKNOWN[3])):.3g} deg; '
-        'drive curves, and a ramp or a bank (allow_unobserved shows the answer)')
+    if len(split_pairs(T_a_b, pairs).unobserved) == len(DEGREES_OF_FREEDOM):
+        raise MotionError(
+            f'no motion beyond the noise in {len(pairs)} pose pairs: no direction of the '
+            'extrinsic is known. A stationary vehicle cannot be calibrated: drive curves, and a '
+            'ramp or a bank')
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:

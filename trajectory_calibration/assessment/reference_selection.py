@@ -29,7 +29,7 @@ from trajectory_calibration.assessment.excitation import thinned
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import (
     AUTOMATIC,
-    parse_reference,
+    lag_grid,
     reference_indices,
     select_motions,
 )
@@ -37,18 +37,19 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers import load_solver, WITHOUT_REFERENCE
+from trajectory_calibration.solvers import load_solver, noise_identifier, solver_info
 
 # A rotation counts by what it moves at this distance, metres.
 _DISTANCE = 1.0
 
-# References that are compared, as far as n is no more than a quarter of the poses.
-_CANDIDATES = ('A', 'B1', 'B2', 'B3', 'B5', 'B8', 'B12', 'B20', 'B30', 'B50', 'B80',
-               'C5', 'C10', 'C20')
+# References that are compared: A, and n poses that span so many seconds, as far as that is no more
+# than a quarter of the recording.
+_CANDIDATES_B = (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0)
+_CANDIDATES_C = (0.5, 1.0, 2.0)
 _LARGEST_SHARE = 0.25
 
-# The reference where none can be preferred.
-_USUAL = 5
+# The reference where none can be preferred, seconds.
+_USUAL = (0.5,)
 
 # Poses and motions that are enough to tell references apart.
 _ENOUGH = 10_000
@@ -113,14 +114,16 @@ class ReferenceChoice:
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
     """Return the reference of the configuration, or for ``auto`` the best by expectation."""
-    usual = f'B{max(1, min(_USUAL, (len(pairs) - 1) // 2))}'
+    (lag,) = lag_grid(pairs.stamps_ns, _USUAL, largest_share=1.0)
+    usual = f'B{max(1, min(lag, (len(pairs) - 1) // 2))}'
+    needed = solver_info(config.solver).needs_reference
     if config.reference != AUTOMATIC:
-        if config.solver in WITHOUT_REFERENCE and not _fits(config.reference, len(pairs)):
+        if not needed and not _fits(config.reference, len(pairs)):
             return ReferenceChoice(usual, (
                 f'{config.solver} needs no reference; {usual} for the relative error, because '
                 f'{config.reference} is too long for {len(pairs)} poses'))
         return ReferenceChoice(config.reference)
-    if config.solver in WITHOUT_REFERENCE:
+    if not needed:
         return ReferenceChoice(usual)
     try:
         known = _known(pairs, config)
@@ -129,9 +132,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
         # open may be allowed, or known beforehand.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
     expected: dict[str, float] = {}
-    for reference in _CANDIDATES:
-        if parse_reference(reference)[1] > max(1, _LARGEST_SHARE * len(pairs)):
-            continue
+    for reference in _candidates(pairs):
         motions = thinned(select_motions(pairs, reference), _ENOUGH)
         try:
             found = load_solver(config.solver)(motions, config).T_a_b
@@ -145,6 +146,13 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     return ReferenceChoice(best, _explanation(best, expected), known)
 
 
+def _candidates(pairs: PosePairs) -> list[str]:
+    """Return 'A', 'B1', ..., 'C5', ..."""
+    lags = {letter: lag_grid(pairs.stamps_ns, seconds, _LARGEST_SHARE)
+            for letter, seconds in (('B', _CANDIDATES_B), ('C', _CANDIDATES_C))}
+    return ['A', *(f'B{lag}' for lag in lags['B']), *(f'C{lag}' for lag in lags['C'] if lag > 1)]
+
+
 def _fits(reference: str, poses: int) -> bool:
     """Tell whether so many poses make motions with a reference."""
     with suppress(MotionError):
@@ -155,7 +163,7 @@ def _fits(reference: str, poses: int) -> bool:
 
 def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:
     motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
-    solution = load_solver('drift_aware')(motions, config)
+    solution = noise_identifier().load()(motions, config)
     covariance = estimate_uncertainty(solution, motions).covariance
     unit = np.repeat([1.0, _DISTANCE], 3)
     variances, axes = np.linalg.eigh(covariance * np.outer(unit, unit))

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.motion_pairs import lag_grid
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Lags of the variogram, up to this share of the poses: beyond, too few motions are independent.
-_LAGS = (1, 2, 3, 5, 8, 12, 20, 30, 50, 80)
+# Lags, seconds, up to this share of the poses: beyond, too few motions are independent.
+_LAGS = (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0)
 _LARGEST_LAG = 0.25
 
 # Motions of one lag that are looked at; more would not change a variance by a tenth.
@@ -81,6 +82,7 @@ def step_lengths(poses: FloatArray) -> FloatArray:
 
 
 def identify_noise(
+    stamps_ns: NDArray[np.int64],
     poses_a: FloatArray,
     poses_c: FloatArray,
     usable: NDArray[np.bool_] | None = None,
@@ -90,6 +92,8 @@ def identify_noise(
 
     Parameters
     ----------
+    stamps_ns : (N,)
+        Of the poses.
     poses_a : (N, 4, 4)
         Of sensor a.
     poses_c : (N, 4, 4)
@@ -110,9 +114,7 @@ def identify_noise(
     if usable is not None:
         bad[1:] = np.cumsum(~usable)
     rows = []
-    for lag in _LAGS:
-        if lag > max(1, _LARGEST_LAG * len(poses_a)):
-            break
+    for lag in lag_grid(stamps_ns, _LAGS, _LARGEST_LAG):
         i = np.arange(len(poses_a) - lag)
         i = i[bad[i + lag] == bad[i]]
         if trusted is not None:

@@ -74,6 +74,10 @@ def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     if option.kind is bool:
         group.add_argument(
             flag, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=text)
+    elif option.extensible:
+        # Which names of other packages there are is looked up for an unknown one only.
+        group.add_argument(flag, metavar='NAME', default=argparse.SUPPRESS,
+                           help=f'{text}: {", ".join(option.choices)}')
     elif option.choices:
         group.add_argument(
             flag, choices=option.choices, default=argparse.SUPPRESS, help=text)

@@ -15,7 +15,12 @@ from trajectory_calibration.config.prior import parse_prior, Prior
 from trajectory_calibration.data.motion_pairs import normal_reference, REFERENCE_HELP
 from trajectory_calibration.data.pose_pairs import METHODS
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.solvers import SOLVER_NAMES
+from trajectory_calibration.solvers import (
+    DEFAULT_SOLVER,
+    solver_info,
+    SOLVER_NAMES,
+    solvers_that_estimate,
+)
 
 # More than a float holds, and than Python writes.
 _MOST_BITS = 1000
@@ -33,6 +38,7 @@ class Option:
     help : one sentence, with the unit.
     minimum, maximum : the closed range of a number, or None.
     choices : the valid words, or empty.
+    extensible : whether other packages add to the choices.
 
     """
 
@@ -43,6 +49,7 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    extensible: bool = False
 
     def check(self, value: Any) -> Any:
         """Return the value in this option's type; raise ConfigError where it does not fit.
@@ -61,7 +68,7 @@ class Option:
         if type(value) is not self.kind:
             raise ConfigError(
                 f'{self.name} is {value!r}, needed a value of type {self.kind.__name__}')
-        if self.choices and value not in self.choices:
+        if self.choices and not self.extensible and value not in self.choices:
             raise ConfigError(
                 f'{self.name} {value!r} is unknown; needed one of {", ".join(self.choices)}')
         if isinstance(value, (int, float)):
@@ -83,6 +90,10 @@ def _option(default: Any, text: str, **limits: Any) -> Any:
     return field(default=default, metadata={'help': text, **limits})
 
 
+# The solvers that find a scale and a drift, for the help texts.
+_FINDS_SCALE, _FINDS_DRIFT = (
+    ' or '.join(solvers_that_estimate(term)) for term in ('scale', 'systematic_drift'))
+
 # What may become of a term that both trajectories share.
 MODES = ('fixed', 'estimate', 'auto')
 _MODES = 'fixed: taken as given; estimate: found; auto: found where the data support it'
@@ -99,7 +110,8 @@ class CalibrationConfig:
 
     """
 
-    solver: str = _option('drift_aware', 'method that finds the extrinsic', choices=SOLVER_NAMES)
+    solver: str = _option(
+        DEFAULT_SOLVER, 'method that finds the extrinsic', choices=SOLVER_NAMES, extensible=True)
     reference: str = _option('auto', f'reference pose of each motion: {REFERENCE_HELP}')
     association: str = _option(
         'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
@@ -118,15 +130,15 @@ class CalibrationConfig:
         'auto', f'{_MODES}, around time_offset; not fixed, a clock that drifts is corrected as '
         'well', choices=MODES)
     max_time_offset: float = _option(
-        5.0, 'largest clock offset that is looked for around time_offset, seconds; drift_aware '
-        'refines what is found, 0 leaves the clocks alone', minimum=0.0, maximum=3600.0)
+        5.0, 'largest clock offset that is looked for around time_offset, seconds; 0 leaves the '
+        'clocks alone', minimum=0.0, maximum=3600.0)
     scale: float = _option(
         1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
     scale_mode: str = _option(
-        'auto', f'{_MODES}, unless scale is other than 1; only drift_aware finds it',
+        'auto', f'{_MODES}, unless scale is other than 1; only {_FINDS_SCALE} finds it',
         choices=MODES)
     systematic_drift_mode: str = _option(
-        'auto', 'constant drift of b per metre along its axes; only drift_aware finds it: '
+        'auto', f'constant drift of b per metre along its axes; only {_FINDS_DRIFT} finds it: '
         f'{_MODES}', choices=MODES)
     dnlo_c: float = _option(
         0.01, 'cost c of rejecting a motion (dnlo): squared residual beyond which it is an '
@@ -148,9 +160,8 @@ class CalibrationConfig:
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
         'three with - for an unknown one; 0 fixes')
     allow_unobserved: bool = _option(
-        default=False, text='answer also where the motion determines nothing or leaves a '
-        'direction exactly open, which is then zero or the prior, and let the node publish '
-        'directions that are not observed; those are marked with and without it')
+        default=False, text='let the node publish results with unobservable directions, which are '
+        'flagged as always')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
         'metres', minimum=0.0, maximum=1e3)
@@ -168,11 +179,12 @@ class CalibrationConfig:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))
         object.__setattr__(self, 'reference', normal_reference(self.reference))
+        info = solver_info(self.solver)
         for term in ('scale', 'systematic_drift'):
-            if self.mode(term) == 'estimate' and self.solver != 'drift_aware':
+            if self.mode(term) == 'estimate' and term not in info.estimates:
                 raise ConfigError(
                     f'{term}_mode is estimate, which {self.solver} cannot; use solver '
-                    'drift_aware, or set it to fixed')
+                    f'{" or ".join(solvers_that_estimate(term))}, or set it to fixed')
         if self.time_offset_mode == 'estimate' and self.max_time_offset == 0:
             raise ConfigError('time_offset_mode is estimate and max_time_offset 0, needed more '
                               'than 0 seconds to look in, or time_offset_mode fixed')

@@ -7,6 +7,7 @@ doi:10.3390/s23073740, section III-D.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import re
 
@@ -17,6 +18,9 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import ConfigError, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+
+# Seconds between poses that the lags of the checks are made for.
+_USUAL_STEP = 0.1
 
 AUTOMATIC = 'auto'
 REFERENCE_HELP = ('A (the first pose), B<n> (n poses earlier), C<n> (first pose of each n), '
@@ -126,6 +130,31 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
             f'reference {reference} leaves {len(j)} motions of {poses} poses, needed at least 2; '
             'use a smaller n or record longer')
     return i, j
+
+
+def lag_grid(
+    stamps_ns: NDArray[np.int64], seconds: Sequence[float], largest_share: float = 0.5,
+) -> tuple[int, ...]:
+    """Return the lags, in poses, that span the given times; ascending and distinct.
+
+    Times, not numbers of poses, so that recordings of one drive at 10 and 200 Hz are judged alike.
+    A recording slower than 10 Hz stretches the times by as much, so that it has as many lags.
+    None is longer than a share of the recording; there is always at least one.
+
+    Parameters
+    ----------
+    stamps_ns : (N,)
+        Ascending.
+    seconds : sequence of float
+        Times, ascending.
+    largest_share : float
+        Of the N poses.
+
+    """
+    step = float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else _USUAL_STEP
+    lags = {max(1, round(time / min(max(step, 1e-9), _USUAL_STEP))) for time in seconds}
+    longest = largest_share * len(stamps_ns)
+    return tuple(sorted(lag for lag in lags if lag <= longest)) or (1,)
 
 
 def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:

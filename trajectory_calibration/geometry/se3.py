@@ -129,9 +129,9 @@ def rotation_from_roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
 def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations of (..., 3) rotation vectors (radians)."""
     phi = np.asarray(rotation_vectors, dtype=np.float64)
-    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
-    # sin(half) / (2 half) is 0.5 sinc: smooth at zero.
-    q = np.concatenate([0.5 * np.sinc(half / np.pi) * phi, np.cos(half)], axis=-1)
+    # Not quite zero, where sin(half) / half is one and not zero over zero.
+    half = np.maximum(0.5 * np.sqrt(np.sum(phi * phi, axis=-1, keepdims=True)), 1e-150)
+    q = np.concatenate([0.5 * np.sin(half) / half * phi, np.cos(half)], axis=-1)
     return quaternion_to_rotation(q)
 
 

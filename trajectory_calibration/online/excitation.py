@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.assessment.excitation import UNKNOWN
 from trajectory_calibration.assessment.observability import axis_name
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import se3
@@ -20,6 +19,7 @@ from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.motion_sums import MotionSums
+from trajectory_calibration.solvers.solution import UNKNOWN
 from trajectory_calibration.time_alignment.pairing import COINCIDENCE_NS, is_sparser
 
 _STEP_NS = 1_000_000_000

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import UNKNOWN
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers.solution import UNKNOWN
 
 # These find the rotation first, from the rotations alone.
 _SEPARABLE = ('park', 'taylor', 'zhuang')

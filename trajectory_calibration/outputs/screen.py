@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import UNKNOWN
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, digits_of, number, Row
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.solvers.solution import UNKNOWN
 
 _KNOWN = 0.5 * UNKNOWN
 

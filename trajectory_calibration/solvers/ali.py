@@ -18,14 +18,11 @@ from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
-_TRANSLATION = slice(9, 12)
-
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
-    """Return the extrinsic of lowest cost (m^2); raises MotionError for a free direction."""
-    G = quadratic.gram(motions, _TRANSLATION)
-    held = quadratic.hold(G, len(motions), config)
-    minimum = quadratic.minimise(G + held)
-    T_a_b = quadratic.polish(minimum.T_a_b, motions, _TRANSLATION, held=held)
+    """Return the extrinsic of lowest cost (m^2); raises MotionError where nothing moved."""
+    quadratic.require_motion(motions)
+    minimum = quadratic.minimise(quadratic.gram(motions, rotation=False), prior=config.prior)
+    T_a_b = quadratic.polish(minimum.T_a_b, motions, rotation=False)
     return Solution(
         T_a_b, minimum.cost, minimum.iterations, linearise=linear.translation_only)

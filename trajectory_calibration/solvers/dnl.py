@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
@@ -25,7 +26,7 @@ from trajectory_calibration.errors import require, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.certificate import certify
+from trajectory_calibration.solvers.certificate import Certificate, certify
 from trajectory_calibration.solvers.solution import Solution
 
 # Starts of the search that follows a failed certificate.
@@ -36,12 +37,13 @@ _MANY = 500
 # solver (MUMPS) has global state, so that a program of its own for each thread would not do.
 _IPOPT = Lock()
 
-# Quiet, and tight: one iteration costs microseconds, digits are worth more.
+# Quiet. Below this tolerance its line search is lost in the rounding of the cost; the last digits
+# come from a step on the residuals.
 IPOPT_OPTIONS = {
     'print_time': False,
     'ipopt.print_level': 0,
     'ipopt.sb': 'yes',
-    'ipopt.tol': 1e-12,
+    'ipopt.tol': 1e-9,
     'ipopt.max_iter': 200,
 }
 
@@ -52,29 +54,38 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises
     ------
     MotionError
-        The motion leaves a direction of the extrinsic free; the message names it.
+        No motion at all.
     SolverError
         Ipopt stopped before a minimum.
 
     """
-    G = quadratic.gram(motions)
-    held = quadratic.hold(G, len(motions), config)
-    G = G + held
-    # The cost is not convex in the rotation: Ipopt starts where a search over all of SO(3) ends.
-    start = quadratic.minimise(G)
-    certificate = certify(G, start.T_a_b)
-    if not certificate.proven:
-        start = quadratic.minimise(G, _many_rotations())
-        certificate = certify(G, start.T_a_b)
-    T_a_b, cost, iterations = minimise_with_ipopt(G, start.T_a_b)
+    quadratic.require_motion(motions)
+    minimum, certificate = lowest_minimum(quadratic.gram(motions), config.prior)
+    T_a_b, cost, iterations = minimise_with_ipopt(minimum.form, minimum.T_a_b)
     doubt = Finding(
         'minimum-not-proven',
-        'dnl: its minimum is not proven to be the lowest; another could have a cost up to '
-        f'{certificate.relative_gap:.2g} times its own lower',
+        'dnl: the minimum is not proven to be the lowest; another could have a cost lower by up '
+        f'to {certificate.relative_gap:.2g} times its own. Compare with dnlo',
         {'relative_gap': certificate.relative_gap})
-    return Solution(quadratic.polish(T_a_b, motions, held=held), cost, iterations,
+    return Solution(quadratic.polish(T_a_b, motions), cost, iterations,
                     linearise=linear.frobenius, optimality_gap=certificate.relative_gap,
                     findings=() if certificate.proven else (doubt,))
+
+
+def lowest_minimum(
+    G: FloatArray, prior: Prior | None = None,
+) -> tuple[quadratic.Minimum, Certificate]:
+    """Return the lowest minimum of ``v^T G v`` over SE(3), and how far it is proven to be that.
+
+    The cost is not convex in the rotation: the search is over more and more of SO(3) until a
+    proof holds that no other rotation costs less.
+    """
+    for starts in (lambda: quadratic.linear_start(G)[None], lambda: None, _many_rotations):
+        minimum = quadratic.minimise(G, starts(), prior)
+        certificate = certify(minimum.form, minimum.T_a_b)
+        if certificate.proven:
+            break
+    return minimum, certificate
 
 
 def _many_rotations() -> FloatArray:

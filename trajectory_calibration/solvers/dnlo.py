@@ -35,15 +35,18 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.dnl import run_ipopt, symbolic_monomials
-from trajectory_calibration.solvers.least_trimmed_squares import Candidates, TrimmedCost, UPPER
-from trajectory_calibration.solvers.separable import solve_separable
+from trajectory_calibration.solvers.least_trimmed_squares import Candidates, TrimmedCost
 from trajectory_calibration.solvers.solution import Solution
 
 # Up to this many motions the nonlinear program takes less than about a tenth of a second.
 _IPOPT_MOTIONS = 500
 
-# A cost below this share of another is clearly lower.
+# A cost below this share of another is clearly lower, and motions that are enough to look for one.
 _CLEARLY_LOWER = 0.95
+_ENOUGH = 600
+
+# Precision of an extrinsic from which a search goes on, radians.
+_ROUGHLY = 1e-5
 
 # One motion leaves the axis of its turn open.
 _LEAST_KEPT = 2
@@ -65,96 +68,80 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises
     ------
     MotionError
-        Fewer than two motions are kept, or those that are leave a direction of the extrinsic
-        free; the message names it.
+        No motion at all, or fewer than two motions are kept.
     SolverError
         Ipopt stopped before a minimum.
 
     """
-    cost = TrimmedCost(motions, config.dnlo_c, config.dnlo_min_inliers)
-    G = cost.gram(np.ones((len(motions), 1)))[0]
-    cost.held = quadratic.hold(G, len(motions), config)
-    G = G + cost.held
-    best, steps = _minimise(cost, motions, G, config.dnlo_method)
-    return _finish(best, cost, motions, steps)
-
-
-def _minimise(
-    cost: TrimmedCost, motions: MotionPairs, G: FloatArray, method: str,
-) -> tuple[Candidates, int]:
-    """Go down one way, or as ``auto`` the way that suits the number of motions."""
-    if method == 'alternating':
-        return cost.alternate(_starts(motions, G))
-    # The nonlinear program knows no direction that is held from outside.
-    held = cost.held.any()
-    if method == 'ipopt' and not held:
-        return _minimise_with_ipopt(cost)
-    if method == 'auto' and len(motions) <= _IPOPT_MOTIONS and not held:
-        joint, steps = _minimise_with_ipopt(cost)
-        T_a_b = joint.T_a_b[0]
-    else:
-        T_a_b, steps = cost.follow_central_path(quadratic.minimise(G).T_a_b)
-    best, more = cost.alternate(T_a_b[None])
-    if method == 'auto':
-        best = _clearly_lower(best, cost.alternate(_starts(motions, G))[0])
-    return best, steps + more
-
-
-def _finish(
-    best: Candidates, cost: TrimmedCost, motions: MotionPairs, steps: int,
-) -> Solution:
-    """Test what the kept motions determine, then take the last digits from the residuals."""
-    T_a_b, weights = best.T_a_b[0], best.weights[:, 0]
+    quadratic.require_motion(motions)
+    cost = TrimmedCost.of(motions, config.dnlo_c, config.dnlo_min_inliers, config.prior)
+    best, steps = _minimise(cost, config.dnlo_method)
+    weights = best.weights[0]
     inliers = weights > 0.5
     kept = int(np.count_nonzero(inliers))
     if kept < _LEAST_KEPT:
         raise MotionError(
             f'dnlo keeps {kept} of {len(motions)} motions, needed at least {_LEAST_KEPT}: the '
-            f'squared residuals of the rest are above dnlo_c, {cost.c:g}; raise dnlo_c or '
+            f'squared residuals of the rest are above dnlo_c, {cost.c:g}. Raise dnlo_c or '
             'dnlo_min_inliers')
-    G = cost.gram(weights[:, None])[0]
-    quadratic.require_translation(G, int(np.count_nonzero(weights)))
-    quadratic.require_rotation(G, T_a_b)
     return Solution(
-        quadratic.polish(T_a_b, motions, weights=weights, held=cost.held),
-        float(best.cost[0]), steps,
+        quadratic.polish(best.T_a_b[0], motions, weights), float(best.cost[0]), steps,
         inliers=inliers, linearise=linear.frobenius)
 
 
-def _clearly_lower(first: Candidates, second: Candidates) -> Candidates:
+def _minimise(cost: TrimmedCost, method: str) -> tuple[Candidates, int]:
+    """Go down one way, or as ``auto`` the way that suits the number of motions."""
+    motions = cost.features.shape[1]
+    if method == 'alternating':
+        return cost.alternate(_starts(cost))
+    if method == 'ipopt':
+        return _minimise_with_ipopt(cost)
+    if method == 'auto' and motions <= _IPOPT_MOTIONS:
+        joint, steps = _minimise_with_ipopt(cost)
+        T_a_b = joint.T_a_b[0]
+    else:
+        T_a_b, steps = cost.follow_central_path(cost.minimum(np.ones((1, motions)))[0])
+    best, more = cost.alternate(T_a_b[None])
+    if method == 'auto':
+        few = cost.thinned(_ENOUGH)
+        best = _clearly_lower(best, cost, few.alternate(_starts(few), _ROUGHLY)[0])
+    return best, steps + more
+
+
+def _clearly_lower(best: Candidates, cost: TrimmedCost, other: Candidates) -> Candidates:
+    """Return the candidate that the other leads to where it costs clearly less than the best."""
     # Without noise both are rounding errors, and their ratio says nothing.
-    lower = second.cost[0] < _CLEARLY_LOWER * first.cost[0] - 1e-12
-    return second if lower else first
+    limit = _CLEARLY_LOWER * float(best.cost[0]) - 1e-12
+    if cost.weigh(other.T_a_b).cost[0] >= best.cost[0]:
+        return best
+    other = cost.alternate(other.T_a_b)[0]
+    return other if other.cost[0] < limit else best
 
 
-def _starts(motions: MotionPairs, G: FloatArray) -> FloatArray:
-    """Return (S, 4, 4) extrinsics: of all motions by two methods, and of parts of the drive."""
-    starts = [quadratic.minimise(G).T_a_b]
-    every = np.arange(len(motions))
-    parts = np.array_split(every, min(_PARTS, len(motions) // 2))
-    for part in (every, *parts):
-        some = motions.picked(part)
-        try:
-            starts.append(solve_separable(some).T_a_b)
-        except MotionError:
-            # A part without turns is no start; the caller has tested the whole.
-            continue
-    return np.array(starts)
+def _starts(cost: TrimmedCost) -> FloatArray:
+    """Return (S, 4, 4) extrinsics: of all motions, and of consecutive parts of the drive."""
+    motions = cost.features.shape[1]
+    parts = max(1, min(_PARTS, motions // 2))
+    weights = np.zeros((parts + 1, motions))
+    weights[0] = 1.0
+    for row, part in zip(weights[1:], np.array_split(np.arange(motions), parts), strict=True):
+        row[part] = 1.0
+    return cost.minimum(weights)
 
 
 def _minimise_with_ipopt(cost: TrimmedCost) -> tuple[Candidates, int]:
     """Minimise over extrinsic and weights together; return them and the iterations."""
-    motions = len(cost.features)
+    motions = cost.features.shape[1]
     x, value, iterations = run_ipopt(
         partial(_program, motions), 'set dnlo_method to path',
         x0=np.concatenate([_PAPER_START, np.ones(motions)]),
-        p=np.append(cost.features.ravel(order='F'), cost.c),
+        p=np.append(cost.features.ravel(), cost.c),
         lbx=np.concatenate([np.full(6, -np.inf), np.zeros(motions)]),
         ubx=np.concatenate([np.full(6, np.inf), np.ones(motions)]),
         lbg=cost.least, ubg=np.inf)
     T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]), x[3:6])
     # Ipopt may leave a bound by its relaxation, 1e-8.
-    weights = np.clip(x[6:, None], 0.0, 1.0)
+    weights = np.clip(x[None, 6:], 0.0, 1.0)
     return Candidates(T_a_b[None], weights, np.array([value + motions * cost.c])), iterations
 
 
@@ -166,7 +153,7 @@ def _program(motions: int) -> Any:
     ca: Any = require('casadi')
     theta, t = ca.SX.sym('theta', 3), ca.SX.sym('t', 3)
     v = symbolic_monomials(ca, theta, t, ca.SX(np.eye(3).ravel()))
-    products = ca.vertcat(*(v[int(i)] * v[int(j)] for i, j in zip(*UPPER, strict=True)))
+    products = ca.vertcat(*(v[int(i)] * v[int(j)] for i, j in zip(*quadratic.UPPER, strict=True)))
     phi = ca.Function('phi', [theta, t], [products])
     x = ca.MX.sym('x', 6 + motions)
     p = ca.MX.sym('p', 91 * motions + 1)

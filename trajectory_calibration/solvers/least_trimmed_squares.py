@@ -6,7 +6,7 @@ For a fixed extrinsic the weights follow: a motion is kept where its |M|^2 is be
 that keeps fewer than d M of them, the d M smallest are kept, which is least trimmed squares. For
 fixed weights the extrinsic follows from the weighted Gram matrix. ``|M|^2`` is a sum of 91
 products of the entries of v (see ``quadratic``), so that both steps are one product with a
-constant (M, 91) matrix, for all candidates at once.
+constant (91, M) matrix, for all candidates at once.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -31,78 +31,86 @@ _MAX_STEPS = 500
 _BARRIER_FACTOR = 0.6
 _BARRIER_END = 1e-6
 
-_BISECTIONS = 50
-
-# A kept set whose rotations are this much smaller about one axis than about another (squared)
-# cannot carry a step; see quadratic.require_translation for what the user is told.
-_SINGULAR = 1e-14
-
-UPPER = np.triu_indices(13)
-_TWICE = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
+# Newton steps, at most, for the multiplier of the least sum of weights, and its precision.
+_MULTIPLIER_STEPS = 60
+_MULTIPLIER_PRECISION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Extrinsics (S, 4, 4) with the weights (M, S) that are best for each, and costs (S,)."""
+    """Extrinsics (S, 4, 4) with the weights (S, M) that are best for each, and costs (S,)."""
 
     T_a_b: FloatArray
     weights: FloatArray
     cost: FloatArray
 
     def __getitem__(self, keep: Any) -> Candidates:
-        return Candidates(self.T_a_b[keep], self.weights[:, keep], self.cost[keep])
+        return Candidates(self.T_a_b[keep], self.weights[keep], self.cost[keep])
 
 
+@dataclass(frozen=True, eq=False)
 class TrimmedCost:
     """The cost over the motions, with its two ways down.
 
     Attributes
     ----------
-    features : (M, 91), coefficients of ``|M|^2`` in the products v_i v_j, i <= j.
+    features : (91, M), see ``quadratic.features``.
     c : cost of rejecting a motion.
     least : the least sum of weights, d M.
-    held : (13, 13) form that is added to every Gram matrix, see ``quadratic.hold``.
+    prior : where the directions are held that the kept motions leave open.
 
     """
 
-    def __init__(self, motions: MotionPairs, c: float, min_inliers: float) -> None:
-        self.features = np.empty((len(motions), len(UPPER[0])))
+    features: FloatArray
+    c: float
+    least: float
+    prior: Prior | None = None
+
+    @classmethod
+    def of(
+        cls, motions: MotionPairs, c: float, min_inliers: float, prior: Prior | None = None,
+    ) -> TrimmedCost:
+        """Return the cost over motions of which the share ``min_inliers`` must be kept."""
+        features = np.empty((len(quadratic.UPPER[0]), len(motions)))
         for start in range(0, len(motions), quadratic.CHUNK):
             part = slice(start, start + quadratic.CHUNK)
-            E = quadratic.equations(motions.A[part], motions.B[part])
-            G = np.swapaxes(E, 1, 2) @ E
-            self.features[part] = G[:, UPPER[0], UPPER[1]] * _TWICE
-        self.c = c
-        self.least = min_inliers * len(motions)
-        self.held = np.zeros((13, 13))
+            features[:, part] = quadratic.features(motions.A[part], motions.B[part])
+        return cls(features, c, min_inliers * len(motions), prior)
+
+    def thinned(self, count: int) -> TrimmedCost:
+        """Return the cost over every n-th motion, at most ``count`` of them."""
+        n = -(-self.features.shape[1] // count)
+        features = np.ascontiguousarray(self.features[:, ::n])
+        share = features.shape[1] / self.features.shape[1]
+        return TrimmedCost(features, self.c, share * self.least, self.prior)
 
     def gram(self, weights: FloatArray) -> FloatArray:
-        """Return the (S, 13, 13) Gram matrices of (M, S) weights."""
-        G = np.zeros((weights.shape[1], 13, 13))
-        G[:, UPPER[0], UPPER[1]] = (weights.T @ self.features) / _TWICE
-        G[:, UPPER[1], UPPER[0]] = G[:, UPPER[0], UPPER[1]]
-        return G + self.held
+        """Return the (..., 13, 13) Gram matrices of (..., M) weights."""
+        return quadratic.form(weights @ self.features.T)
 
     def squares(self, T_a_b: FloatArray) -> FloatArray:
-        """Return ``|M|^2`` (M, S) for (S, 4, 4) extrinsics."""
+        """Return ``|M|^2`` (S, M) for (S, 4, 4) extrinsics."""
         v = quadratic.monomials(T_a_b)
-        return np.maximum(self.features @ (v[:, UPPER[0]] * v[:, UPPER[1]]).T, 0.0)
+        i, j = quadratic.UPPER
+        return np.maximum((v[:, i] * v[:, j]) @ self.features, 0.0)
 
     def weigh(self, T_a_b: FloatArray) -> Candidates:
         """Attach the best weights, in closed form, to (S, 4, 4) extrinsics."""
         squares = self.squares(T_a_b)
         weights = (squares < self.c).astype(np.float64)
         whole = int(self.least)
-        for s in np.flatnonzero(weights.sum(axis=0) < self.least):
-            order = np.argpartition(squares[:, s], min(whole, len(squares) - 1))
-            weights[:, s] = 0.0
-            weights[order[:whole], s] = 1.0
+        for s in np.flatnonzero(weights.sum(axis=1) < self.least):
+            order = np.argpartition(squares[s], min(whole, squares.shape[1] - 1))
+            weights[s] = 0.0
+            weights[s, order[:whole]] = 1.0
             if self.least > whole:
-                weights[order[whole], s] = self.least - whole
-        cost = np.sum(weights * squares + (1 - weights) * self.c, axis=0)
+                weights[s, order[whole]] = self.least - whole
+        cost = np.sum(weights * squares + (1 - weights) * self.c, axis=1)
         return Candidates(T_a_b, weights, cost)
 
-    def alternate(self, starts: FloatArray) -> tuple[Candidates, int]:
+    def alternate(
+        self, starts: FloatArray, tolerance: float = 1e-12,
+    ) -> tuple[Candidates, int]:
         """Take turns between weights and extrinsic from (S, 4, 4) starts; keep the lowest.
 
         The concentration steps, and the many short and few long starts, of P. J. Rousseeuw, K. Van
@@ -112,13 +120,8 @@ class TrimmedCost:
         """
         found = self.weigh(starts)
         for step in range(1, _MAX_STEPS + 1):
-            G = self.gram(found.weights)
-            solvable = _solvable(G)
-            if not solvable.any():
-                # Nothing can move; the caller tests the kept motions and names the direction.
-                break
-            found = found[solvable]
-            moved = self.weigh(_minimise_each(G[solvable], found.T_a_b))
+            moved = self.weigh(self.minimum(
+                found.weights, found.T_a_b[:, :3, :3], tolerance))
             settled = (moved.weights == found.weights).all() or (
                 found.cost - moved.cost <= 1e-13 * found.cost).all()
             found = moved
@@ -134,51 +137,53 @@ class TrimmedCost:
         The path that an interior-point method follows, with the weights eliminated: for a barrier
         mu they solve ``|M|^2 - c - lambda = mu / alpha - mu / (1 - alpha)``, and lambda is zero or
         what makes the sum of the weights d M. Every motion has its say at first and the decision
-        hardens slowly, which passes by the many small minima of the trimmed cost. It ends early
-        where the weights have gone that carry a step. Returns a (4, 4) extrinsic and the steps
-        that were taken.
+        hardens slowly, which passes by the many small minima of the trimmed cost. Returns a (4, 4)
+        extrinsic and the steps that were taken.
         """
-        T_a_b = start[None]
-        mu = max(float(self.squares(T_a_b).mean()), self.c)
-        steps = 0
+        T_a_b, squares = start, self.squares(start[None])[0]
+        mu = max(float(squares.mean()), self.c)
+        steps, multiplier = 0, 0.0
         while mu > _BARRIER_END * self.c and steps < _MAX_STEPS:
-            G = self.gram(self._barrier_weights(self.squares(T_a_b), mu))
-            if not _solvable(G).all():
-                break
-            T_a_b = _minimise_each(G, T_a_b)
+            weights, multiplier = self._barrier_weights(squares, mu, multiplier)
+            T_a_b = quadratic.newton_step(self.gram(weights), T_a_b, len(weights))
+            squares = self.squares(T_a_b[None])[0]
             mu *= _BARRIER_FACTOR
             steps += 1
-        return T_a_b[0], steps
+        return T_a_b, steps
 
-    def _barrier_weights(self, squares: FloatArray, mu: float) -> FloatArray:
-        weights = _barrier_weight(squares - self.c, mu)
-        if weights.sum() >= self.least:
-            return weights
+    def _barrier_weights(
+        self, squares: FloatArray, mu: float, multiplier: float,
+    ) -> tuple[FloatArray, float]:
+        """Return the (M,) weights, and lambda; its last value is where the search begins."""
+        excess = squares - self.c
         low, high = 0.0, float(squares.max()) + 1e3 * mu
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (low + high)
-            if _barrier_weight(squares - self.c - middle, mu).sum() < self.least:
-                low = middle
-            else:
-                high = middle
-        return _barrier_weight(squares - self.c - high, mu)
+        for _ in range(_MULTIPLIER_STEPS):
+            weights, slope = _barrier_weight(excess - multiplier, mu)
+            missing = self.least - float(weights.sum())
+            if abs(missing) <= _MULTIPLIER_PRECISION * self.least or (
+                    multiplier == 0.0 and missing < 0):
+                break
+            low, high = (multiplier, high) if missing > 0 else (low, multiplier)
+            multiplier += missing / max(float(slope.sum()), np.finfo(float).tiny)
+            if not low < multiplier < high:
+                # A step that leaves the bracket: to the bound itself where that is zero.
+                multiplier = 0.0 if multiplier <= 0.0 == low else 0.5 * (low + high)
+        return weights, multiplier
+
+    def minimum(
+        self, weights: FloatArray, starts: FloatArray | None = None, tolerance: float = 1e-12,
+    ) -> FloatArray:
+        """Return (S, 4, 4) minima for (S, M) weights; starts (S, 3, 3), linear ones if omitted."""
+        G = quadratic.held_translation(self.gram(weights), self.prior)
+        if starts is None:
+            starts = np.array([quadratic.linear_start(form) for form in G])
+        R = quadratic.minimise_rotations(G, starts, tolerance)[0]
+        return se3.from_rotation_translation(R, quadratic.best_translation(G, R))
 
 
-def _barrier_weight(excess: FloatArray, mu: float) -> FloatArray:
-    """Return the root in (0, 1) of ``excess = mu / alpha - mu / (1 - alpha)``."""
+def _barrier_weight(excess: FloatArray, mu: float) -> tuple[FloatArray, FloatArray]:
+    """Return the root in (0, 1) of ``excess = mu / alpha - mu / (1 - alpha)``, minus its slope."""
     # In a form without cancellation for large and for vanishing excess.
-    weight: FloatArray = 0.5 - excess / (2 * (np.sqrt(excess**2 + 4 * mu**2) + 2 * mu))
-    return weight
-
-
-def _solvable(G: FloatArray) -> NDArray[np.bool_]:
-    """Return which (S,) of (S, 13, 13) quadratic forms determine a translation."""
-    turns = np.linalg.eigvalsh(G[:, 9:12, 9:12])
-    solvable: NDArray[np.bool_] = turns[:, 0] > _SINGULAR * turns[:, 2]
-    return solvable
-
-
-def _minimise_each(G: FloatArray, T_a_b: FloatArray) -> FloatArray:
-    """Minimise each of (S, 13, 13) quadratic forms from its (S, 4, 4) start."""
-    R = quadratic.minimise_rotations(G, T_a_b[:, :3, :3])[0]
-    return se3.from_rotation_translation(R, quadratic.best_translation(G, R))
+    root = np.sqrt(excess**2 + 4 * mu**2)
+    sum_ = root + 2 * mu
+    return 0.5 - excess / (2 * sum_), mu / (root * sum_)

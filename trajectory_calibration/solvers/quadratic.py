@@ -1,8 +1,15 @@
 """The cost ``sum |A X - X B|^2`` as one quadratic form, and its minimum over SE(3).
 
-Every entry of ``M = A X - X B`` is linear in ``v = (vec R, t, 1)``, a vector of 13 numbers (R row
-by row). The sum of squares over all motions is therefore ``v^T G v`` with one 13 x 13 Gram
-matrix: whatever is done with the cost afterwards does not depend on the number of motions.
+The cost of a motion is a sum of 91 products of the entries of ``v = (vec R, t, 1)``, 13 numbers
+with R row by row. The sum over all motions is therefore ``v^T G v`` with one 13 x 13 Gram matrix:
+whatever is done with the cost afterwards does not depend on the number of motions.
+
+With the unit quaternions (a_0, a) of R_A and (b_0, b) of R_B, the rotation's part
+``|R_A R - R R_B|^2 = 8 sin^2(w / 2)``, w the angle between the two products, is
+
+    8 |a_0 R b - b_0 a - a x R b|^2 = 8 (|R b|^2 + b_0^2 |a|^2 - (a^T R b)^2 - 2 a_0 b_0 a^T R b),
+
+which is three rows instead of nine, and closed form in the products.
 """
 
 from __future__ import annotations
@@ -12,31 +19,54 @@ from itertools import permutations, product
 
 import numpy as np
 
-from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers.solution import UNKNOWN
 
 # Relative to the largest eigenvalue of a sum of squares: below it a direction is not determined
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
 _UNDETERMINED = 1e-12
 
-# Weight, relative to the rotation's part of a form, of what holds an undetermined rotation: too
-# small to count in a direction that is determined, enough to pass for determined in another.
+# Weight, relative to the rotation's part of a form, of what holds an undetermined rotation.
 _HOLD = 1e-9
 
-# The smallest root mean square rotation (radians) that counts as turning at all.
-_NO_ROTATION = 1e-9
+# What holds an implausible translation outweighs the motion by at least this.
+_FIRMLY = 1e9
+
+# The smallest root mean square motion (radians; metres a metre of the way from the origin) that
+# is more than rounding.
+_NO_MOTION = 1e-9
+
+# The same, relative to the motion of a drive straight ahead.
+_UNTURNED = 1e-6
 
 _MAX_ITERATIONS = 100
 
-# Motions whose equations are held in memory at once (12 x 13 numbers each).
+# Motions whose features are computed at once.
 CHUNK = 8192
 
-# The generators of rotation: skew(e_i), and their symmetrised products.
+# The products v_i v_j, i <= j.
+UPPER = np.triu_indices(13)
+_TWICE = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
+
+# The place of each product among them.
+_PLACE = np.zeros((13, 13), dtype=np.intp)
+_PLACE[UPPER] = _PLACE[UPPER[::-1]] = np.arange(91)
+_OF_R, _OF_T = np.triu_indices(9), np.triu_indices(3)
+_R_R, _R_T, _T_T = _PLACE[_OF_R], _PLACE[:9, 9:12].reshape(3, 3, 3), _PLACE[9:12, 9:12][_OF_T]
+_ROW_ROW = [_PLACE[m:m + 3, m:m + 3][_OF_T] for m in (0, 3, 6)]
+_DOUBLED_R, _DOUBLED_T = (np.where(of[0] == of[1], 1.0, 2.0) for of in (_OF_R, _OF_T))
+_R_ONE, _T_ONE, _ONE_ONE = _PLACE[:9, 12], _PLACE[9:12, 12], _PLACE[12, 12]
+
+# v without the translation.
+_OUTER = np.r_[0:9, 12]
+
+# The generators of rotation.
 _E = se3.skew(np.eye(3))
-_EE = 0.5 * (np.einsum('aij,bjk->abik', _E, _E) + np.einsum('bij,ajk->abik', _E, _E))
+_AXIAL = (np.array([1, 2, 0]), np.array([2, 0, 1]))
 
 # The 24 rotations of a cube: no rotation is farther than 63 degrees from one of them.
 _CUBE = np.array([
@@ -46,54 +76,81 @@ _CUBE = np.array([
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """The lowest minimum found of ``v^T G v`` over SE(3).
+    """The lowest minimum found of a quadratic form over SE(3).
 
     Attributes
     ----------
     T_a_b : (4, 4).
     cost : value of the quadratic form.
     iterations : Newton iterations of all starts together.
+    form : (13, 13), the form with what holds the directions that the motion leaves open.
 
     """
 
     T_a_b: FloatArray
     cost: float
     iterations: int
+    form: FloatArray
 
 
-def equations(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return the (M, 12, 13) rows E with ``E @ v`` = the entries of ``A X - X B``.
+def require_motion(motions: MotionPairs) -> None:
+    """Raise MotionError where one of the sensors neither turned nor moved, but for rounding."""
+    for name, moved, poses in (('a', motions.A, motions.pairs.poses_a),
+                               ('b', motions.B, motions.pairs.poses_b)):
+        reach = 1.0 + float(np.abs(poses[:, :3, 3]).max())
+        change = np.abs(moved - np.eye(4)).max(initial=0.0)
+        if change < _NO_MOTION * reach:
+            raise MotionError(
+                f'the sensors did not turn or move: {name} stood still in all {len(motions)} '
+                'motions. Drive curves, and a ramp or a bank')
 
-    Rows 0-8 are the rotation ``R_A R - R R_B`` row by row, rows 9-11 the translation
-    ``R_A t + t_A - R t_B - t``; ``v = (vec R, t, 1)``. A and B are (M, 4, 4).
+
+def features(A: FloatArray, B: FloatArray, *, rotation: bool = True) -> FloatArray:
+    """Return (91, M): ``|A X - X B|^2`` of each motion is their sum times v_i v_j, see ``UPPER``.
+
+    A and B are (M, 4, 4). Without ``rotation``, only the translation row
+    ``|R_A t + t_A - R t_B - t|^2``.
     """
-    R_A, R_B = A[:, :3, :3], B[:, :3, :3]
-    E = np.zeros((len(A), 12, 13))
-    rotation = E[:, :9, :9].reshape(len(A), 3, 3, 3, 3)
-    translation = np.zeros((len(A), 3, 3, 3))
-    for i in range(3):
-        # d(R_A R)_mi / dR_ni = (R_A)_mn and d(R R_B)_im / dR_in = (R_B)_nm.
-        rotation[:, :, i, :, i] += R_A
-        rotation[:, i, :, i, :] -= np.swapaxes(R_B, 1, 2)
-        translation[:, i, i] = -B[:, :3, 3]
-    E[:, :9, :9] = rotation.reshape(len(A), 9, 9)
-    E[:, 9:, :9] = translation.reshape(len(A), 3, 9)
-    E[:, 9:, 9:12] = R_A - np.eye(3)
-    E[:, 9:, 12] = A[:, :3, 3]
-    return E
+    t_a, t_b = np.ascontiguousarray(A[:, :3, 3].T), np.ascontiguousarray(B[:, :3, 3].T)
+    # Motions along the last axis, so that each operation runs over contiguous numbers.
+    D = np.ascontiguousarray(np.moveaxis(A[:, :3, :3] - np.eye(3), 0, 2))
+    found = np.empty((91, len(A)))
+    found[_R_T] = -2 * D[:, None] * t_b[None, :, None]
+    found[_T_ONE] = 2 * np.einsum('mik,mk->ik', D, t_a)
+    found[_T_T] = _DOUBLED_T[:, None] * np.einsum('mik,mjk->ijk', D, D)[_OF_T]
+    of_rows = _DOUBLED_T[:, None] * t_b[_OF_T[0]] * t_b[_OF_T[1]]
+    of_ones = -2 * (t_a[:, None] * t_b).reshape(9, -1)
+    constant = np.einsum('mk,mk->k', t_a, t_a)
+    found[_R_R] = 0.0
+    if rotation:
+        q_a, q_b = (np.ascontiguousarray(se3.rotation_to_quaternion(T[:, :3, :3]).T)
+                    for T in (A, B))
+        a, b = q_a[:3], q_b[:3]
+        p = (a[:, None] * b).reshape(9, -1)
+        found[_R_R] = (-8 * _DOUBLED_R)[:, None] * p[_OF_R[0]] * p[_OF_R[1]]
+        of_rows += (8 * _DOUBLED_T)[:, None] * b[_OF_T[0]] * b[_OF_T[1]]
+        of_ones -= 16 * (q_a[3] * q_b[3]) * p
+        constant += 8 * q_b[3]**2 * np.einsum('mk,mk->k', a, a)
+    for row in _ROW_ROW:
+        found[row] += of_rows
+    found[_R_ONE] = of_ones
+    found[_ONE_ONE] = constant
+    return found
 
 
-def gram(motions: MotionPairs, rows: slice = slice(0, 12)) -> FloatArray:
-    """Return the (13, 13) Gram matrix of the equations, summed over the motions.
+def form(sums: FloatArray) -> FloatArray:
+    """Return the (..., 13, 13) Gram matrices of (..., 91) sums of features."""
+    halves: FloatArray = (sums / _TWICE)[..., _PLACE]
+    return halves
 
-    ``rows`` picks equations: all twelve, or the translation only.
-    """
-    G = np.zeros((13, 13))
+
+def gram(motions: MotionPairs, *, rotation: bool = True) -> FloatArray:
+    """Return the (13, 13) Gram matrix of all motions, or of their translation rows only."""
+    sums = np.zeros(91)
     for start in range(0, len(motions), CHUNK):
         part = slice(start, start + CHUNK)
-        E = equations(motions.A[part], motions.B[part])[:, rows].reshape(-1, 13)
-        G += E.T @ E
-    return G
+        sums += features(motions.A[part], motions.B[part], rotation=rotation).sum(axis=1)
+    return form(sums)
 
 
 def monomials(T_a_b: FloatArray) -> FloatArray:
@@ -103,116 +160,97 @@ def monomials(T_a_b: FloatArray) -> FloatArray:
     return np.concatenate([R.reshape(*R.shape[:-2], 9), T_a_b[..., :3, 3], one], axis=-1)
 
 
-def require_translation(G: FloatArray, motions: int) -> None:
-    """Raise MotionError where the translation block of a Gram matrix has an empty direction."""
-    free, angle = free_translations(G[9:12, 9:12], motions)
-    if len(free) == 3:
-        raise MotionError(
-            f'the sensors did not turn (root mean square {angle:.1g} rad over {motions} motions);'
-            ' the translation between them shows only in turns: drive curves and a ramp or a bank')
-    if len(free):
-        x, y, z = free[0] * np.sign(free[0, np.abs(free[0]).argmax()])
-        raise MotionError(
-            f'the translation along ({x:.2f}, {y:.2f}, {z:.2f}) in a is not determined: all '
-            f'{motions} motions turn about that axis only; drive a ramp or a bank too')
-
-
-def free_translations(turns: FloatArray, motions: int) -> tuple[FloatArray, float]:
-    """Return (K, 3) unit vectors along which t is free, and the root mean square turn, radians.
-
-    ``turns`` (3, 3) is the sum of ``(R_A - I)^T (R_A - I)``.
-    """
-    eigenvalues, axes = np.linalg.eigh(turns)
-    angle = float(np.sqrt(max(eigenvalues[-1], 0.0) / motions))
-    if angle < _NO_ROTATION:
-        return np.eye(3), angle
-    return axes[:, eigenvalues < _UNDETERMINED * eigenvalues[-1]].T, angle
-
-
-def hold(G: FloatArray, motions: int, config: CalibrationConfig) -> FloatArray:
-    """Return a (13, 13) form that holds what the motion leaves free at the prior, or at zero.
-
-    It is zero where the motion determines everything and nothing else was allowed.
-
-    Raises
-    ------
-    MotionError
-        A translation is free that no prior covers, and ``allow_unobserved`` is off.
-
-    """
-    held = np.zeros((13, 13))
-    held[9:, 9:] = hold_translation(G[9:12, 9:12], motions, config)
-    if holds_rotation(config):
-        R = config.prior.rotation
-        rows = np.column_stack([np.eye(9), np.zeros((9, 3)), -R.reshape(9)])
-        held += _HOLD * float(np.trace(G[:9, :9])) / 9 * rows.T @ rows
-    return held
-
-
-def hold_translation(
-    turns: FloatArray, motions: int, config: CalibrationConfig,
-) -> FloatArray:
-    """Return the (4, 4) part of ``hold`` in (t, 1); raises as ``hold``."""
-    prior = config.prior
-    free, _ = free_translations(turns, motions)
-    covered = all(
-        prior.translation_std_along(axis) <= config.unobserved_translation for axis in free)
-    if not (covered or config.allow_unobserved):
-        G = np.zeros((13, 13))
-        G[9:12, 9:12] = turns
-        require_translation(G, motions)
-    weight = max(float(np.linalg.eigvalsh(turns)[-1]), _NO_ROTATION**2 * motions)
-    rows = np.column_stack([free, -free @ prior.translation])
-    held: FloatArray = weight * rows.T @ rows
-    return held
-
-
-def holds_rotation(config: CalibrationConfig) -> bool:
-    """Return whether a rotation that the motion leaves free has a place to be held at."""
-    return config.allow_unobserved or bool(np.isfinite(config.prior.rotation_std).any())
-
-
-def minimise(G: FloatArray, starts: FloatArray | None = None) -> Minimum:
+def minimise(
+    G: FloatArray, starts: FloatArray | None = None, prior: Prior | None = None,
+) -> Minimum:
     """Minimise ``v^T G v`` over rotations and translations, from many starts at once.
 
-    ``starts`` are (S, 3, 3) rotations; the 24 rotations of a cube where omitted.
-
-    Raises
-    ------
-    MotionError
-        A rotation direction that the quadratic form leaves free.
-
+    What the form leaves open, but for rounding, is as near as possible to the prior, or to zero
+    and the identity where there is none. ``starts`` are (S, 3, 3) rotations; the 24 rotations of
+    a cube where omitted.
     """
-    R, cost, iterations = minimise_rotations(G, _CUBE if starts is None else starts)
-    best = int(np.argmin(cost))
-    T_a_b = se3.from_rotation_translation(R[best], best_translation(G, R[best]))
-    require_rotation(G, T_a_b)
-    return Minimum(T_a_b, float(cost[best]), iterations)
+    G = held_translation(G, prior)
+    starts = _CUBE if starts is None else starts
+    minimum = _lowest(G, starts)
+    if not _determines_rotation(G, minimum.T_a_b):
+        R_prior = np.eye(3) if prior is None else prior.rotation
+        rows = np.column_stack([np.eye(9), np.zeros((9, 3)), -R_prior.reshape(9)])
+        held = G + _HOLD * float(np.trace(G[:9, :9])) / 9 * rows.T @ rows
+        minimum = _lowest(held, np.concatenate([starts, R_prior[None]]))
+    return minimum
+
+
+def held_translation(G: FloatArray, prior: Prior | None = None) -> FloatArray:
+    """Return (..., 13, 13) forms that hold at the prior, or at zero, what G leaves open of t."""
+    hold = hold_of(G[..., 9:12, 9:12], np.einsum('...ii->...', G[..., :9, :9]))
+    if not hold.any():
+        return G
+    held = G.copy()
+    held[..., 9:12, 9:12] += hold
+    if prior is not None:
+        pull = hold @ prior.translation
+        held[..., 9:12, 12] -= pull
+        held[..., 12, 9:12] -= pull
+        held[..., 12, 12] += pull @ prior.translation
+    return held
+
+
+def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
+    """Return (..., 3, 3) forms that hold what ``turns``, sums of ``D^T D``, leave open of t.
+
+    ``size`` (...) is the motion in the same sums: without any turn, all that they say against it
+    is rounding.
+    """
+    eigenvalues, axes = np.linalg.eigh(turns)
+    largest = np.maximum(eigenvalues[..., -1], _UNTURNED * np.asarray(size))[..., None]
+    open_ = eigenvalues <= _UNDETERMINED * largest
+    weight = np.where(open_, np.maximum(largest, np.finfo(float).tiny), 0.0)
+    hold: FloatArray = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    return hold
+
+
+def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
+    """Return a (3, 3) form that holds the directions of t farther than sensors can be apart.
+
+    A rotation that is open leaves residuals as large as the motion, which a direction of hardly
+    any turn explains by kilometres: with ``variance`` of a residual, m^2, such a t means nothing.
+    """
+    eigenvalues, axes = np.linalg.eigh(turns)
+    least = variance / UNKNOWN[0]**2
+    open_ = axes[:, eigenvalues < least]
+    hold: FloatArray = _FIRMLY * least * open_ @ open_.T
+    return hold
+
+
+def linear_start(G: FloatArray) -> FloatArray:
+    """Return the (3, 3) rotation next to the minimum over all matrices, rotations or not."""
+    eigenvalues, axes = np.linalg.eigh(G[:12, :12])
+    inverse = np.where(eigenvalues > _UNDETERMINED * eigenvalues[-1], 1.0 / np.maximum(
+        eigenvalues, np.finfo(float).tiny), 0.0)
+    v = -(axes * inverse) @ (axes.T @ G[:12, 12])
+    return se3.nearest_rotation(v[:9].reshape(3, 3))
 
 
 def best_translation(G: FloatArray, R: FloatArray) -> FloatArray:
     """Return the (..., 3) translations that minimise the cost for (..., 3, 3) rotations."""
-    u = np.concatenate([R.reshape(*R.shape[:-2], 9), np.ones((*R.shape[:-2], 1))], axis=-1)
-    outer = np.r_[0:9, 12]
-    right = np.einsum('...ij,...j->...i', G[..., 9:12, :][..., outer], u)
-    t: FloatArray = -np.linalg.solve(G[..., 9:12, 9:12], right[..., None])[..., 0]
-    return t
+    u = _with_one(R)
+    right = G[..., 9:12, :][..., _OUTER] @ u[..., None]
+    return np.asarray(-np.linalg.solve(G[..., 9:12, 9:12], right)[..., 0], dtype=np.float64)
 
 
 def minimise_rotations(
-    G: FloatArray, starts: FloatArray,
+    G: FloatArray, starts: FloatArray, tolerance: float = 1e-12,
 ) -> tuple[FloatArray, FloatArray, int]:
     """Run Newton's method on SO(3) from (S, 3, 3) starts, the translation eliminated.
 
     ``G`` is one (13, 13) matrix or one for each start, (S, 13, 13). Returns the rotations, their
-    costs (S,), and the number of iterations.
+    costs (S,), and the number of iterations. It ends with steps below the tolerance, radians.
     """
-    outer = np.r_[0:9, 12]
-    G_ut = G[..., outer, :][..., 9:12]
-    F = G[..., outer, :][..., outer] - G_ut @ np.linalg.solve(
+    G_ut = G[..., _OUTER, :][..., 9:12]
+    F = G[..., _OUTER, :][..., _OUTER] - G_ut @ np.linalg.solve(
         G[..., 9:12, 9:12], np.swapaxes(G_ut, -1, -2))
     F = np.broadcast_to(0.5 * (F + np.swapaxes(F, -1, -2)), (len(starts), 10, 10))
-    scale = np.maximum(np.trace(F[:, :9, :9], axis1=1, axis2=2), np.finfo(float).tiny)
+    scale = np.maximum(np.einsum('kii->k', F[:, :9, :9]), np.finfo(float).tiny)
     R = np.array(starts)
     cost = _cost(F, R)
     damping = np.zeros(len(R))
@@ -226,74 +264,126 @@ def minimise_rotations(
         eigenvalues, Q = np.linalg.eigh(hessian)
         floor = 1e-12 * scale[k, None]
         curvature = np.maximum(np.abs(eigenvalues), floor) + damping[k, None] * scale[k, None]
-        step = -np.einsum(
-            'kij,kj->ki', Q, np.einsum('kji,kj->ki', Q, gradient) / curvature)
+        along = (np.swapaxes(Q, 1, 2) @ gradient[:, :, None])[:, :, 0] / curvature
+        step = -(Q @ along[:, :, None])[:, :, 0]
         moved = se3.exp_so3(step) @ R[k]
         moved_cost = _cost(F[k], moved)
         better = moved_cost <= cost[k]
         R[k[better]], cost[k[better]] = moved[better], moved_cost[better]
         damping[k] = np.where(better, damping[k] * 0.1, np.maximum(damping[k] * 10, 1e-3))
-        small = np.linalg.norm(step, axis=1) < 1e-12
+        small = np.sum(step**2, axis=1) < tolerance**2
         active[k] = ~(small | (~better & (damping[k] > 1e8)))
     return R, cost, iterations
 
 
-def _cost(F: FloatArray, R: FloatArray) -> FloatArray:
-    u = np.concatenate([R.reshape(-1, 9), np.ones((len(R), 1))], axis=1)
-    return np.einsum('ki,kij,kj->k', u, F, u)
-
-
-def _derivatives(F: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (S, 3) gradients and (S, 3, 3) Hessians in theta of ``exp(theta) R``."""
-    u = np.concatenate([R.reshape(-1, 9), np.ones((len(R), 1))], axis=1)
-    Fu = np.einsum('kij,kj->ki', F, u)[:, :9]
-    first = np.einsum('aij,kjl->kail', _E, R).reshape(-1, 3, 9)
-    second = np.einsum('abij,kjl->kabil', _EE, R).reshape(-1, 3, 3, 9)
-    gradient = 2 * np.einsum('kai,ki->ka', first, Fu)
-    hessian = 2 * (first @ F[:, :9, :9] @ np.swapaxes(first, 1, 2)
-                   + np.einsum('kabi,ki->kab', second, Fu))
-    return gradient, hessian
-
-
-def tangent_basis(T_a_b: FloatArray) -> FloatArray:
-    """Return the (13, 6) derivative of v in (t, theta), ``R = exp(theta) R_hat``."""
-    J = np.zeros((13, 6))
-    J[:9, 3:] = (_E @ T_a_b[:3, :3]).reshape(3, 9).T
-    J[9:12, :3] = np.eye(3)
-    return J
-
-
-def require_rotation(G: FloatArray, T_a_b: FloatArray) -> None:
-    """Raise MotionError where the cost does not determine a rotation at its minimum."""
-    J = tangent_basis(T_a_b)
-    H = J.T @ G @ J
-    S = H[3:, 3:] - H[3:, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3:])
-    eigenvalues, axes = np.linalg.eigh(0.5 * (S + S.T))
-    if eigenvalues[0] < _UNDETERMINED * max(eigenvalues[-1], np.finfo(float).tiny):
-        x, y, z = axes[:, 0] * np.sign(axes[np.abs(axes[:, 0]).argmax(), 0])
-        raise MotionError(
-            f'the rotation about ({x:.2f}, {y:.2f}, {z:.2f}) in a is not determined by this '
-            'motion; drive curves with forward motion, and a ramp or a bank')
-
-
-def polish(T_a_b: FloatArray, motions: MotionPairs, rows: slice = slice(0, 12),
-           weights: FloatArray | None = None, held: FloatArray | None = None) -> FloatArray:
-    """Take one Gauss-Newton step on the residuals themselves, and on the form ``held``.
+def polish(
+    T_a_b: FloatArray, motions: MotionPairs, weights: FloatArray | None = None, *,
+    rotation: bool = True,
+) -> FloatArray:
+    """Take one Gauss-Newton step on the residuals themselves, where they determine it.
 
     A Gram matrix squares the condition of the problem; one step on the true residuals gives back
     the digits, which is what lets noise-free data be recovered to machine precision.
     """
-    J, v = tangent_basis(T_a_b), monomials(T_a_b)
     H, g = np.zeros((6, 6)), np.zeros(6)
-    if held is not None:
-        H, g = J.T @ held @ J, J.T @ (held @ v)
     for start in range(0, len(motions), CHUNK):
         part = slice(start, start + CHUNK)
-        E = equations(motions.A[part], motions.B[part])[:, rows]
+        J, residual = _residuals(T_a_b, motions.A[part], motions.B[part], rotation=rotation)
         if weights is not None:
-            E = E * np.sqrt(weights[part, None, None])
-        E = E.reshape(-1, 13)
-        EJ = E @ J
-        H += EJ.T @ EJ
-        g += EJ.T @ (E @ v)
-    return se3.moved(T_a_b, -np.linalg.solve(H, g))
+            root = np.sqrt(weights[part])
+            J, residual = J * root, residual * root
+        J, residual = J.reshape(6, -1), residual.ravel()
+        H += J @ J.T
+        g += J @ residual
+    return se3.moved(T_a_b, -determined_inverse(H, len(motions)) @ g)
+
+
+def determined_inverse(H: FloatArray, motions: int) -> FloatArray:
+    """Return the inverse of a (6, 6) sum of squares in (t, theta), zero where that is rounding."""
+    Q = determined_directions(H, motions)
+    inverse: FloatArray = Q @ np.linalg.solve(Q.T @ H @ Q, Q.T)
+    return inverse
+
+
+def determined_directions(H: FloatArray, motions: int) -> FloatArray:
+    """Return (6, K) directions that span what a sum of squares in (t, theta) determines."""
+    largest = np.diagonal(H).reshape(2, 3).max(axis=1)
+    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
+    eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
+    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
+    directions: FloatArray = Q[:, kept] / scale[:, None]
+    return directions
+
+
+def newton_step(G: FloatArray, T_a_b: FloatArray, motions: int) -> FloatArray:
+    """Return a (4, 4) extrinsic one Newton step nearer to the minimum of ``v^T G v``."""
+    R = T_a_b[:3, :3]
+    Gv = G @ monomials(T_a_b)
+    K = R @ Gv[:9].reshape(3, 3).T
+    first = (_E @ R).reshape(3, 9)
+    across = G[:12, :9] @ first.T
+    H = np.empty((6, 6))
+    H[:3, :3], H[:3, 3:], H[3:, :3] = G[9:12, 9:12], across[9:], across[9:].T
+    H[3:, 3:] = first @ across[:9] + 0.5 * (K + K.T) - np.trace(K) * np.eye(3)
+    g = np.concatenate([Gv[9:12], (K - K.T)[_AXIAL]])
+    return se3.moved(T_a_b, -determined_inverse(H, motions) @ g)
+
+
+def _lowest(G: FloatArray, starts: FloatArray) -> Minimum:
+    R, cost, iterations = minimise_rotations(G, starts)
+    best = int(np.argmin(cost))
+    T_a_b = se3.from_rotation_translation(R[best], best_translation(G, R[best]))
+    return Minimum(T_a_b, max(float(cost[best]), 0.0), iterations, G)
+
+
+def _determines_rotation(G: FloatArray, T_a_b: FloatArray) -> bool:
+    """Tell whether a form determines the rotation at its minimum, but for rounding."""
+    J = (_E @ T_a_b[:3, :3]).reshape(3, 9)
+    across = J @ G[:9, 9:12]
+    S = J @ G[:9, :9] @ J.T - across @ np.linalg.solve(G[9:12, 9:12], across.T)
+    eigenvalues = np.linalg.eigvalsh(0.5 * (S + S.T))
+    return bool(eigenvalues[0] > _UNDETERMINED * eigenvalues[-1])
+
+
+def _with_one(R: FloatArray) -> FloatArray:
+    """Return (..., 10) u = (vec R, 1) of (..., 3, 3) rotations."""
+    return np.concatenate([R.reshape(*R.shape[:-2], 9), np.ones((*R.shape[:-2], 1))], axis=-1)
+
+
+def _cost(F: FloatArray, R: FloatArray) -> FloatArray:
+    u = _with_one(R)
+    cost: FloatArray = np.sum((F @ u[:, :, None])[:, :, 0] * u, axis=1)
+    return cost
+
+
+def _derivatives(F: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (S, 3) gradients and (S, 3, 3) Hessians in theta of ``exp(theta) R``."""
+    N = (F[:, :9] @ _with_one(R)[:, :, None]).reshape(-1, 3, 3)
+    # The derivative along a generator E is 2 tr(E K).
+    K = R @ np.swapaxes(N, 1, 2)
+    first = (_E @ R[:, None]).reshape(-1, 3, 9)
+    hessian = 2 * first @ F[:, :9, :9] @ np.swapaxes(first, 1, 2) + K + np.swapaxes(K, 1, 2)
+    hessian -= 2 * np.trace(K, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+    antisymmetric = 2 * (K - np.swapaxes(K, 1, 2))
+    return antisymmetric[:, _AXIAL[0], _AXIAL[1]], hessian
+
+
+def _residuals(
+    T_a_b: FloatArray, A: FloatArray, B: FloatArray, *, rotation: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (6, 6, M) derivatives in (t, theta), one row a parameter, and (6, M) residuals."""
+    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+    J, residual = np.zeros((6, 6, len(A))), np.zeros((6, len(A)))
+    D = A[:, :3, :3] - np.eye(3)
+    moved = B[:, :3, 3] @ R.T
+    residual[3:] = (D @ t + A[:, :3, 3] - moved).T
+    J[:3, 3:] = D.transpose(2, 1, 0)
+    J[3:, 3:] = se3.skew(moved).transpose(2, 1, 0)
+    if rotation:
+        q_a, q_b = (se3.rotation_to_quaternion(T[:, :3, :3]) for T in (A, B))
+        a, c = q_a[:, :3], q_b[:, :3] @ R.T
+        root = np.sqrt(8.0)
+        turn = root * (q_a[:, 3, None, None] * np.eye(3) - se3.skew(a))
+        residual[:3] = (turn @ c[:, :, None])[:, :, 0].T - root * (q_b[:, 3:] * a).T
+        J[3:, :3] = -(turn @ se3.skew(c)).transpose(2, 1, 0)
+    return J, residual

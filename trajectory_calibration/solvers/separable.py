@@ -1,10 +1,26 @@
-"""Rotation first, then translation: what the separable solvers share."""
+"""Rotation first, then translation: ``park`` and ``taylor``.
+
+Both align the rotation vectors of the motions, ``min over R of sum |phi_A - R phi_B|^2``, and then
+solve the translation rows by linear least squares:
+
+* C. Park, P. Moghadam, S. Kim, S. Sridharan, C. Fookes, "Spatiotemporal Camera-LiDAR Calibration:
+  A Targetless and Structureless Approach", IEEE Robotics and Automation Letters 5(2), 2020,
+  doi:10.1109/LRA.2020.2969164, coarse alignment;
+* Z. Taylor, J. Nieto, "Motion-based calibration of multimodal sensor arrays", IEEE International
+  Conference on Robotics and Automation (ICRA), 2015, pp. 4843-4850,
+  doi:10.1109/ICRA.2015.7139872, section III-B.
+
+As replicated in doi:10.3390/s23073740, section III-C. Park's ``R = (M^T M)^(1/2) M^-1`` with
+``M = sum phi_B phi_A^T`` is Kabsch's solution, the one of Taylor. The papers differ in what
+follows, which needs the sensors' own measurements or their covariances.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
@@ -18,28 +34,27 @@ from trajectory_calibration.solvers.solution import Solution
 # below which all rotations share one axis but for rounding.
 _SINGLE_AXIS = 1e-9
 
+# The smallest root mean square rotation (radians) that is more than rounding.
+_NO_TURN = 1e-9
+
 # Rotation of a motion from which its axis is not trusted (radians). At half a turn the axis and
 # its opposite are the same rotation, and noise chooses between them for each sensor by itself.
 _HALF_TURN = np.deg2rad(170.0)
 
 
-def solve_separable(
-    motions: MotionPairs, config: CalibrationConfig | None = None,
-) -> Solution:
-    """Align the rotation vectors, then solve for the translation.
-
-    The cost of the solution is the sum of squared residuals of the translation, m^2.
+def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
+    """Return the extrinsic; its cost is the sum of squared residuals of the translation, m^2.
 
     Raises
     ------
     MotionError
-        As ``align_rotation_vectors``, or too few motions of less than half a turn.
+        No motion at all, or too few motions of less than half a turn.
 
     """
-    config = config or CalibrationConfig()
+    quadratic.require_motion(motions)
     motions, inliers, findings = leave_out_half_turns(motions)
-    R_a_b = align_rotation_vectors(motions, config)
-    t, cost = solve_translation(R_a_b, motions, config)
+    R_a_b = align_rotation_vectors(motions, config.prior)
+    t, cost = solve_translation(R_a_b, motions, config.prior)
     return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
                     inliers=inliers, linearise=linear.separable, findings=findings)
 
@@ -79,54 +94,36 @@ def leave_out_half_turns(
         Finding('half-turns', f'{found}; they are excluded', {'motions': count}),)
 
 
-def align_rotation_vectors(motions: MotionPairs, config: CalibrationConfig) -> FloatArray:
+def align_rotation_vectors(motions: MotionPairs, prior: Prior) -> FloatArray:
     """Return the (3, 3) rotation R that minimises ``sum |phi_A - R phi_B|^2``.
 
     Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
-    ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``.
-
-    Raises
-    ------
-    MotionError
-        The sensors did not turn, or turned about one axis only, and no prior of the rotation
-        nor ``allow_unobserved`` says what the rest should be.
-
+    ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``. What turns about fewer than two axes leave
+    open is as near as possible to the prior, or to the identity.
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
-    U, singular, _ = np.linalg.svd(covariance)
-    if quadratic.holds_rotation(config):
-        # A nudge: it decides what the rotations leave open and nothing else.
-        nudge = max(float(singular[0]), np.finfo(float).tiny) * _SINGLE_AXIS
-        covariance = covariance + nudge * config.prior.rotation
-    else:
-        _require_two_axes(singular, U, len(motions))
+    singular = np.linalg.svd(covariance, compute_uv=False)
+    nudge = max(_SINGLE_AXIS * float(singular[0]), _NO_TURN**2 * len(motions))
+    if singular[1] < nudge:
+        covariance = covariance + nudge * prior.rotation
     return se3.nearest_rotation(covariance)
 
 
 def solve_translation(
-    R_a_b: FloatArray, motions: MotionPairs, config: CalibrationConfig,
+    R_a_b: FloatArray, motions: MotionPairs, prior: Prior,
 ) -> tuple[FloatArray, float]:
-    """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2."""
+    """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2.
+
+    What the turns leave open is as near as possible to the prior, or to zero.
+    """
     D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)
-    # The normal equations: D is well conditioned wherever the rotation was accepted, and a
-    # 3 x 3 product costs a tenth of an orthogonal factorisation of all rows.
-    turns = D.T @ D
-    held = quadratic.hold_translation(turns, len(motions), config)
-    t = np.linalg.solve(turns + held[:3, :3], D.T @ right - held[:3, 3])
-    return t, float(np.sum((D @ t - right) ** 2))
-
-
-def _require_two_axes(singular: FloatArray, axes: FloatArray, motions: int) -> None:
-    largest_angle = np.sqrt(singular[0] / motions)
-    if largest_angle < 1e-9:
-        raise MotionError(
-            f'the sensors did not turn (root mean square {largest_angle:.1g} rad over {motions} '
-            'motions); needed rotation about two axes: drive curves and a ramp or a bank')
-    if singular[1] < _SINGLE_AXIS * singular[0]:
-        x, y, z = axes[:, 0]
-        raise MotionError(
-            f'all rotations share one axis ({x:.2f}, {y:.2f}, {z:.2f} in a); needed rotation '
-            'about two axes: drive a ramp or a bank too, or use a joint solver (dnl) with a '
-            'known translation along that axis')
+    # The normal equations: a 3 x 3 product costs a tenth of an orthogonal factorisation.
+    turns, side = D.T @ D, D.T @ right
+    hold = quadratic.hold_of(turns, float(np.sum(motions.B[:, :3, 3]**2)))
+    t = np.linalg.solve(turns + hold, side + hold @ prior.translation)
+    hold = hold + quadratic.hold_implausible(
+        turns + hold, float(np.mean((D @ t - right)**2)))
+    t = np.linalg.solve(turns + hold, side + hold @ prior.translation)
+    return t, float(np.sum((D @ t - right)**2))

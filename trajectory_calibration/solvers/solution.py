@@ -14,6 +14,10 @@ from trajectory_calibration.geometry.se3 import FloatArray
 if TYPE_CHECKING:
     from trajectory_calibration.solvers.drift_aware.diagnosis import Diagnosis
 
+# Standard deviations that stand for "unknown", metres and radians: no two sensors of one vehicle
+# are farther apart. More would let the unknown direction, which noise tilts, spill into others.
+UNKNOWN = np.array([10.0] * 3 + [np.pi] * 3)
+
 
 @dataclass(frozen=True, eq=False)
 class Equations:

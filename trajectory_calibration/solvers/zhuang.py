@@ -20,6 +20,7 @@ that z is small; the minimum then belongs to those coordinates.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -27,11 +28,10 @@ import numpy as np
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.separable import leave_out_half_turns, solve_separable
+from trajectory_calibration.solvers import linear, quadratic
+from trajectory_calibration.solvers.separable import align_rotation_vectors, leave_out_half_turns
 from trajectory_calibration.solvers.solution import Equations, Solution
 
 # Rotation between the sensors from which the coordinates are turned (radians).
@@ -44,29 +44,28 @@ _LARGE_ROTATION = np.deg2rad(90.0)
 _NO_AXIS = 1e-9
 
 _MAX_ITERATIONS = 500
+_HALVINGS = 40
 _STEP_TOLERANCE = 1e-12
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
-    """Return the extrinsic at the minimum next to the separable solution.
+    """Return the extrinsic at the minimum next to Kabsch's rotation.
 
     Raises
     ------
     MotionError
-        Rotation about fewer than two axes, or too few motions of less than half a turn.
-    SolverError
-        No convergence.
+        No motion at all, or too few motions of less than half a turn.
 
     """
-    del config  # nothing to set
+    quadratic.require_motion(motions)
     motions, inliers, findings = leave_out_half_turns(motions)
-    start = solve_separable(motions).T_a_b
-    angle = float(se3.rotation_angle(start[:3, :3]))
+    R_start = align_rotation_vectors(motions, config.prior)
+    angle = float(se3.rotation_angle(R_start))
     turned = angle > _NEAR_HALF_TURN
-    R_turn = start[:3, :3] if turned else np.eye(3)
+    R_turn = R_start if turned else np.eye(3)
     S = _gram(motions, R_turn)
-    z, t, cost, iterations = _gauss_newton(S, _to_z(start[:3, :3] @ R_turn.T), start[:3, 3])
-    T_a_b = se3.from_rotation_translation(_from_z(z) @ R_turn, t)
+    found = _minimise(S, _to_z(R_start @ R_turn.T), config.prior.translation, len(motions))
+    T_a_b = se3.from_rotation_translation(_from_z(found.z) @ R_turn, found.t)
     if angle > _LARGE_ROTATION:
         findings = (
             *findings,
@@ -76,7 +75,11 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
                 'other, where its parameter grows and magnifies noise' + (
                     ' without bound; solved in turned coordinates' if turned else '')
                 + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
-    return Solution(T_a_b, cost, iterations, inliers=inliers,
+    if not found.settled:
+        findings = (*findings, Finding(
+            'not-converged', f'zhuang stopped after {found.iterations} iterations before it '
+            'settled. Prefer dnl or dnlo'))
+    return Solution(T_a_b, found.cost, found.iterations, inliers=inliers,
                     linearise=partial(linearise, R_turn), findings=findings)
 
 
@@ -139,26 +142,63 @@ def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:
     return S
 
 
+@dataclass(frozen=True, eq=False)
+class _Minimum:
+    z: FloatArray
+    t: FloatArray
+    cost: float
+    iterations: int
+    settled: bool
+
+
+def _minimise(S: FloatArray, z: FloatArray, t: FloatArray, motions: int) -> _Minimum:
+    """Minimise from a start, and once more with an implausible translation held there."""
+    found = _gauss_newton(S, z, t, np.zeros((3, 3)), motions)
+    _, _, H = _equations(S, found.z, found.t)
+    hold = quadratic.hold_implausible(H[3:, 3:], found.cost / (6 * motions))
+    return _gauss_newton(S, z, t, hold, motions) if hold.any() else found
+
+
 def _gauss_newton(
-    S: FloatArray, z: FloatArray, t: FloatArray,
-) -> tuple[FloatArray, FloatArray, float, int]:
+    S: FloatArray, z: FloatArray, t: FloatArray, hold: FloatArray, motions: int,
+) -> _Minimum:
+    """Minimise with ``(t - t_start)^T hold (t - t_start)`` added to the cost."""
+    t_start, iteration = t, 0
+    plain, gradient, H = _equations(S, z, t)
+    # A direction that the motion leaves open stays where it is, whatever rounding makes of it.
+    Q = quadratic.determined_directions(H, motions)
     for iteration in range(1, _MAX_ITERATIONS + 1):
-        m = np.concatenate([np.outer(z, t).ravel(), z, t, [1.0]])
-        J = np.zeros((16, 6))
-        J[:9, :3] = np.kron(np.eye(3), t[:, None])
-        J[:9, 3:] = np.kron(z[:, None], np.eye(3))
-        J[9:15] = np.eye(6)
-        H = J.T @ S @ J
-        if np.linalg.cond(H) > 1e15:
-            raise MotionError(
-                'the motion leaves a direction of the extrinsic free at the minimum of zhuang; '
-                'drive a ramp or a bank too, and see which direction with solver dnl')
-        step = -np.linalg.solve(H, J.T @ (S @ m))
+        H[3:, 3:] += hold
+        gradient[3:] += hold @ (t - t_start)
+        cost = plain + float((t - t_start) @ hold @ (t - t_start))
+        step = -Q @ np.linalg.solve(Q.T @ H @ Q, Q.T @ gradient)
+        length = np.linalg.norm(step) / (1 + np.linalg.norm(z) + np.linalg.norm(t))
+        for _ in range(_HALVINGS):
+            plain, gradient, H = _equations(S, z + step[:3], t + step[3:])
+            off = t + step[3:] - t_start
+            if plain + off @ hold @ off <= cost:
+                break
+            step = 0.5 * step
+        else:
+            # No step goes down: the rest is rounding.
+            return _Minimum(z, t, max(cost, 0.0), iteration, settled=True)
         z, t = z + step[:3], t + step[3:]
-        if np.linalg.norm(step) <= _STEP_TOLERANCE * (1 + np.linalg.norm(z) + np.linalg.norm(t)):
-            return z, t, float(m @ S @ m), iteration
-    raise SolverError(
-        f'zhuang did not converge in {_MAX_ITERATIONS} iterations; use solver dnl or dnlo')
+        if length <= _STEP_TOLERANCE:
+            return _Minimum(z, t, max(plain, 0.0), iteration, settled=True)
+    return _Minimum(z, t, max(plain, 0.0), iteration, settled=False)
+
+
+def _equations(
+    S: FloatArray, z: FloatArray, t: FloatArray,
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the cost, half its gradient in (z, t), and its Gauss-Newton matrix."""
+    m = np.concatenate([np.outer(z, t).ravel(), z, t, [1.0]])
+    J = np.zeros((16, 6))
+    J[:9, :3] = np.kron(np.eye(3), t[:, None])
+    J[:9, 3:] = np.kron(z[:, None], np.eye(3))
+    J[9:15] = np.eye(6)
+    Sm = S @ m
+    return float(m @ Sm), J.T @ Sm, J.T @ S @ J
 
 
 def _to_z(R: FloatArray) -> FloatArray:

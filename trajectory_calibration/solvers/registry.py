@@ -1,0 +1,153 @@
+"""What solvers there are, what each needs and what it estimates.
+
+Nothing else in the package knows a solver by its name: the pipeline, the settings and the choice
+of a reference read these rows. Another package adds rows through the entry point group
+``trajectory_calibration.solvers``; ``docs/add_a_solver.md`` has an example.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Protocol, TYPE_CHECKING
+
+from trajectory_calibration.errors import ConfigError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+    from trajectory_calibration.config.settings import CalibrationConfig
+    from trajectory_calibration.data.motion_pairs import MotionPairs
+    from trajectory_calibration.solvers.solution import Solution
+
+GROUP = 'trajectory_calibration.solvers'
+DEFAULT_SOLVER = 'drift_aware'
+
+# Terms of the model beside the extrinsic that a solver may estimate; each has a ..._mode setting.
+TERMS = ('scale', 'systematic_drift', 'time_offset')
+
+
+class Solver(Protocol):
+    """A function from relative motions to an extrinsic.
+
+    It needs no initial guess and leaves its input untouched. It always returns an answer: what
+    the motion does not determine is as near as possible to the prior, or to zero, and its
+    covariance says so. It raises ``MotionError`` only where nothing moved, and ``SolverError``
+    where its method fails.
+    """
+
+    def __call__(self, motions: MotionPairs, config: CalibrationConfig) -> Solution:
+        """Return the extrinsic that the motions determine."""
+        ...
+
+
+@dataclass(frozen=True)
+class SolverInfo:
+    """A solver and its capabilities.
+
+    Attributes
+    ----------
+    name : how it is asked for.
+    sentence : what it does, for a list of solvers.
+    function : the solver, or 'module:name' of it, which is imported on first use.
+    needs_reference : whether it works on the relative motions to a reference; without, it works
+        on the pose pairs, and a reference changes only the residuals that are reported.
+    estimates : which of ``TERMS`` it can estimate.
+    rejects_outliers : whether it excludes motions that do not fit.
+    separable : whether it finds the rotation from rotations alone, and then the translation.
+    identifies_noise : whether its covariance follows from the noise that it identified in the
+        data; such a solver judges the references for the others.
+
+    """
+
+    name: str
+    sentence: str
+    function: str | Solver
+    needs_reference: bool = True
+    estimates: frozenset[str] = frozenset()
+    rejects_outliers: bool = False
+    separable: bool = False
+    identifies_noise: bool = False
+
+    def load(self) -> Solver:
+        """Return the function; its module, and CasADi where it needs it, load now."""
+        if not isinstance(self.function, str):
+            return self.function
+        module, _, name = self.function.partition(':')
+        function: Solver = getattr(import_module(module), name)
+        return function
+
+
+_HERE = __name__.rpartition('.')[0]
+_ROWS = (
+    SolverInfo('dnl', 'direct nonlinear least squares (Valimaki et al. 2023)',
+               f'{_HERE}.dnl:solve'),
+    SolverInfo('dnlo', 'the same with outlier rejection (Valimaki et al. 2023)',
+               f'{_HERE}.dnlo:solve', rejects_outliers=True),
+    SolverInfo('ali', 'nonlinear, translation rows only (Ali et al. 2019, cost Xc1)',
+               f'{_HERE}.ali:solve'),
+    SolverInfo('park', 'separable: rotation vectors aligned, then translation (Park et al. 2020)',
+               f'{_HERE}.separable:solve', separable=True),
+    SolverInfo('taylor', 'separable: Kabsch, then translation (Taylor and Nieto 2015)',
+               f'{_HERE}.separable:solve', separable=True),
+    SolverInfo('drift_aware', 'maximum likelihood with white noise, drift and jumps in one model',
+               f'{_HERE}.drift_aware:solve', needs_reference=False, estimates=frozenset(TERMS),
+               rejects_outliers=True, identifies_noise=True),
+    SolverInfo('zhuang', 'Gauss-Newton in z = tan(w/2) k (Zhuang and Qu 1994)',
+               f'{_HERE}.zhuang:solve', separable=True),
+)
+SOLVER_NAMES = tuple(row.name for row in _ROWS)
+
+
+def solver_info(name: str) -> SolverInfo:
+    """Return the row of a solver, of this package or of another.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name; the message lists the valid ones.
+
+    """
+    for row in _ROWS:
+        if row.name == name:
+            return row
+    others = _of_other_packages()
+    if name in others:
+        return _row(others[name])
+    raise ConfigError(
+        f'solver {name!r} is unknown; needed one of {", ".join((*SOLVER_NAMES, *others))}')
+
+
+def solvers() -> tuple[SolverInfo, ...]:
+    """Return the rows of all solvers that are installed."""
+    return (*_ROWS, *map(_row, _of_other_packages().values()))
+
+
+def load_solver(name: str) -> Solver:
+    """Return the solver of that name; raises as ``solver_info``."""
+    return solver_info(name).load()
+
+
+def solvers_that_estimate(term: str) -> tuple[str, ...]:
+    """Return the names of this package's solvers that can estimate one of ``TERMS``."""
+    return tuple(row.name for row in _ROWS if term in row.estimates)
+
+
+def noise_identifier() -> SolverInfo:
+    """Return the solver that identifies the noise, by which references are judged."""
+    return next(row for row in _ROWS if row.identifies_noise)
+
+
+def _of_other_packages() -> dict[str, EntryPoint]:
+    # Not at the top: it reads the metadata of every package that is installed.
+    from importlib.metadata import entry_points
+    return {entry.name: entry for entry in entry_points(group=GROUP)}
+
+
+def _row(entry: EntryPoint) -> SolverInfo:
+    """Return the row behind an entry point: a ``SolverInfo``, or the function of a solver."""
+    found = entry.load()
+    if isinstance(found, SolverInfo):
+        return replace(found, name=entry.name)
+    sentence = (found.__doc__ or f'of {entry.value}').strip().splitlines()[0]
+    return SolverInfo(entry.name, sentence, found)
