@@ -15,12 +15,12 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.assessment.excitation import UNKNOWN
 from trajectory_calibration.assessment.observability import Observability, UNOBSERVED
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.tracks import distances, motion_covariance, Tracks
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.solvers.solution import UNKNOWN
 
 # Seconds of the time scales that are shown, where the drive is long enough.
 TIME_SCALES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)

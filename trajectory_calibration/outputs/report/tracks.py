@@ -90,7 +90,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
         angle_deg=np.rad2deg(se3.rotation_angle(apart)),
         jumps=jumps,
         gaps=np.flatnonzero(step > limit),
-        noise=identify_noise(pairs.poses_a, poses_c, usable))
+        noise=identify_noise(pairs.stamps_ns, pairs.poses_a, poses_c, usable))
 
 
 def motion_covariance(
