@@ -1,11 +1,9 @@
 """``benchmark paper``: what it computes, what it writes, and that it continues."""
 
 import csv
-from dataclasses import replace
 import sys
 import xml.etree.ElementTree as ET
 
-from cli_helpers import run
 import numpy as np
 import pytest
 
@@ -34,30 +32,13 @@ from benchmarks.paper.tasks import (
     simulated_tasks,
     Task,
 )
-from trajectory_calibration import Trajectory
-from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import (
     ConfigError,
-    MotionError,
     ResultError,
     SolverError,
     SourceError,
 )
 from trajectory_calibration.fleet.executor import Executor
-from trajectory_calibration.fleet.repeat import BagRecord, BagTask, calibrate_bag, scatter
-from trajectory_calibration.geometry import se3
-from trajectory_calibration.simulation import (
-    flat,
-    Noise,
-    Scenario,
-    SCENARIOS,
-    simulate,
-    Unicycle,
-    with_noise,
-)
-from trajectory_calibration.simulation.files import write_bag
-from trajectory_calibration.sources import bags as bag_source
-from trajectory_calibration.sources.storage import find_bag
 
 pytest.importorskip('joblib', reason='joblib is not installed')
 pytest.importorskip('matplotlib', reason='matplotlib is not installed')
@@ -498,88 +479,3 @@ def test_differences_from_published_runs_are_counted():
         [record('B1', 0.5001), record('B5', 0.49), record('B10', 0.51)], published)
     assert [(row.reference, row.agree, row.lower, row.higher) for row in rows] == [
         ('B1', 1, 0, 0), ('B5', 0, 1, 0), ('B10', 0, 0, 1)]
-
-
-# --- Many bags ---
-
-def write_bags(tmp_path, count):
-    """Write bags of one pair of sensors on different drives; return them and the truth."""
-    truth = simulate(SCENARIOS['drone'], 0).T_a_b
-    bags = []
-    for seed in range(count):
-        pair = simulate(replace(SCENARIOS['drone'], duration=20.0), seed)
-        # The sensors of every drive are mounted like those of the first.
-        moved = pair.b.poses @ se3.inverse(pair.T_a_b) @ truth
-        b = Trajectory(pair.b.stamps_ns, moved, 'camera_map', 'camera')
-        bags.append(tmp_path / f'bag_{seed}')
-        write_bag(bags[-1], {'/a': pair.a, '/b': b})
-    return bags, truth
-
-
-def test_bags_are_calibrated_each_by_itself(tmp_path, capsys):
-    bags, truth = write_bags(tmp_path, 4)
-    (tmp_path / 'empty').mkdir()
-    status, out, err = run(
-        capsys, 'fleet', '/a', '/b', *bags, tmp_path / 'empty', '--jobs', '2',
-        '--solver', 'park', '--reference', 'B10')
-    assert status == 0
-    rows = list(csv.DictReader(out.splitlines()))
-    assert [row['bag'] for row in rows] == [*map(str, bags), str(tmp_path / 'empty')]
-    assert [bool(row['note']) for row in rows] == [False] * 4 + [True]
-    for row in rows[:4]:
-        found = [float(row[name]) for name in ('x_m', 'y_m', 'z_m')]
-        np.testing.assert_allclose(found, truth[:3, 3], atol=0.1)
-    assert '4 of 5 bags' in err
-    assert {row['unobserved'] for row in rows} == {''}
-    assert 'not observed' not in err
-    assert all('scale' in row['warnings'] for row in rows[:4])
-
-
-def test_one_topic_is_not_two_sensors(tmp_path, capsys):
-    bags, _ = write_bags(tmp_path, 1)
-    status, out, err = run(capsys, 'fleet', '/a', '/a', *bags)
-    assert (status, out) == (2, '')
-    assert 'A and B are both /a; needed two sensors' in err
-
-
-def test_a_direction_that_a_bag_leaves_open_is_named(tmp_path, capsys):
-    bags, _ = write_bags(tmp_path, 1)
-    flat_drive = with_noise(Scenario(20.0, Unicycle(ground=flat)),
-                            Noise(white=0.005), Noise(white=0.005))
-    for seed in range(2):
-        pair = simulate(flat_drive, seed)
-        bags.append(tmp_path / f'flat_{seed}')
-        write_bag(bags[-1], {'/a': pair.a, '/b': pair.b})
-    status, out, err = run(
-        capsys, 'fleet', '/a', '/b', *bags, '--jobs', '1',
-        '--solver', 'dnl', '--reference', 'B10')
-    assert status == 0
-    rows = list(csv.DictReader(out.splitlines()))
-    assert [row['unobserved'] for row in rows] == ['', 'z', 'z']
-    assert not any(row['note'] for row in rows)
-    assert 'not observed: z in 2 of 3 bags; along what is not observed' in err
-
-
-def test_a_bag_is_opened_once_for_both_topics(tmp_path, monkeypatch):
-    (bag,), _ = write_bags(tmp_path, 1)
-    opened = []
-    monkeypatch.setattr(bag_source, 'find_bag', lambda path: opened.append(path) or find_bag(path))
-    record = calibrate_bag(BagTask(bag, '/a', '/b', CalibrationConfig(solver='park')))
-    assert not record.note
-    assert opened == [bag]
-
-
-def test_scatter_is_the_spread_about_the_mean():
-    rng = np.random.default_rng(7)
-    mean = se3.exp_se3([0.3, -0.1, 0.2, 0.5, 1.0, -0.5])
-    records = []
-    for k in range(300):
-        R = se3.exp_so3(rng.normal(0, np.deg2rad([0.1, 0.2, 0.4]))) @ mean[:3, :3]
-        t = mean[:3, 3] + rng.normal(0, [0.01, 0.02, 0.04])
-        records.append(BagRecord(str(k), *t, *se3.rotation_to_quaternion(R)))
-    found = scatter(records)
-    np.testing.assert_allclose(found.std_m, [0.01, 0.02, 0.04], rtol=0.15)
-    np.testing.assert_allclose(found.std_deg, [0.1, 0.2, 0.4], rtol=0.15)
-    np.testing.assert_allclose(found.T_a_b, mean, atol=0.01)
-    with pytest.raises(MotionError, match='at least 2'):
-        scatter([records[0], BagRecord('lost', note='no topic')])

@@ -1,35 +1,38 @@
-"""``trajectory_calibration fleet``: many bags of the same sensors, compared."""
+"""``trajectory_calibration fleet``: many recordings of the same sensors, calibrated, compared."""
 
 from __future__ import annotations
 
 import argparse
-import csv
-from dataclasses import astuple, fields
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from trajectory_calibration.cli.options import (
-    add_config_options,
-    config_from_arguments,
-    require_two,
-)
+from trajectory_calibration.cli.compare import add_output_options, report
+from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from trajectory_calibration.fleet.executor import Executor
 
+OUTPUT = Path('fleet')
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'fleet', help='calibrate each of many bags of the same sensors, and compare',
-        usage='%(prog)s [options] A B BAG [BAG ...]',
-        description='Calibrate each bag by itself. Prints CSV with one row for a bag, and on '
-        'standard error how far the answers scatter.')
-    parser.add_argument('a', metavar='A', help='topic of sensor a, the parent')
-    parser.add_argument('b', metavar='B', help='topic of sensor b, the child')
-    parser.add_argument('bags', metavar='BAG', nargs='+', type=Path, help='bag')
+        'fleet', help='calibrate each of many recordings, and tell when a sensor moved',
+        usage='%(prog)s [options] JOBS.yaml | BAG [BAG ...] --a TOPIC --b TOPIC',
+        description='Calibrate each recording by itself on all cores, and compare. Results stay '
+        'in the folder results of --output: the same command goes on where it was stopped. A '
+        'recording without an answer is named with its reason. Exit status: 0 the answers agree, '
+        '4 they do not, 1 fewer than two answers.')
+    parser.add_argument(
+        'jobs_or_bags', metavar='JOBS', nargs='+',
+        help='YAML file of jobs; or bags, folders or patterns such as "drives/*.mcap"')
+    parser.add_argument(
+        '--a', metavar='A', help='topic of sensor a, the parent; or its file in each folder')
+    parser.add_argument('--b', metavar='B', help='topic of sensor b, the child; or its file')
+    add_output_options(parser, OUTPUT)
     add_executor_options(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
@@ -47,34 +50,21 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate the bags, print their answers, and say how these scatter."""
-    from trajectory_calibration.fleet.repeat import (
-        BagRecord,
-        BagTask,
-        calibrate_bag,
-        describe_open,
-        scatter,
-    )
-    config = config_from_arguments(arguments)
-    require_two(arguments.a, arguments.b)
-    tasks = [BagTask(bag, arguments.a, arguments.b, config) for bag in arguments.bags]
-    writer = csv.writer(sys.stdout, lineterminator='\n')
-    writer.writerow(item.name for item in fields(BagRecord))
-    records = []
+    """Calibrate the recordings, compare and print the table."""
+    from trajectory_calibration.fleet.comparison import compare
+    from trajectory_calibration.fleet.jobs import read_jobs, run_jobs
+    jobs = read_jobs(arguments.jobs_or_bags, arguments.a, arguments.b,
+                     config_from_arguments(arguments))
+    order = {job.name: k for k, job in enumerate(jobs)}
     with progress_bar('calibrating') as progress:
-        for record in executor_of(arguments).map(calibrate_bag, tasks):
-            records.append(record)
-            writer.writerow(astuple(record))
-            progress(len(records), len(tasks))
-    found = scatter(records)
-    x, y, z = found.T_a_b[:3, 3]
-    print(f'{sum(not record.note for record in records)} of {len(records)} bags; mean translation '
-          f'({x:.4f}, {y:.4f}, {z:.4f}) m; standard deviations along x, y, z of a '
-          f'({", ".join(f"{value:.4f}" for value in found.std_m)}) m and about them '
-          f'({", ".join(f"{value:.3f}" for value in found.std_deg)}) deg', file=sys.stderr)
-    if unobserved := describe_open(records):
-        print(unobserved, file=sys.stderr)
-    return 0
+        entries = list(run_jobs(
+            jobs, arguments.output / 'results', executor_of(arguments), progress))
+    # Whichever was done first, and wherever: the same table.
+    entries.sort(key=lambda entry: order[entry.name])
+    for entry in entries:
+        if entry.result is None:
+            print(f'{entry.name}: no answer: {entry.failure}', file=sys.stderr)
+    return report(compare(entries), arguments)
 
 
 def executor_of(arguments: argparse.Namespace) -> Executor:

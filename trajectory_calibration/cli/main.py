@@ -12,6 +12,7 @@ import sys
 
 from trajectory_calibration.cli import (
     calibrate,
+    compare,
     export,
     fleet,
     inspect,
@@ -27,7 +28,8 @@ from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
-_COMMANDS = (calibrate, report, inspect, export, verify, fleet, simulate, replay)
+_COMMANDS = (
+    calibrate, report, inspect, export, verify, compare, fleet, simulate, replay)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1

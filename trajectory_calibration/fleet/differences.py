@@ -105,22 +105,11 @@ def difference(
     """
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
-    open_limit = np.array([config.unobserved_translation] * 3
-                          + [np.deg2rad(config.unobserved_rotation)] * 3)
+    open_limit = _open_limit(config)
     weak_limit = np.array([config.weak_translation] * 3 + [np.deg2rad(config.weak_rotation)] * 3)
-    variances, vectors = np.linalg.eigh(P / np.outer(open_limit, open_limit))
-    known = variances <= 1.0
-    # Rows that are orthonormal in units of the limits.
-    open_, closed = vectors[:, ~known].T, vectors[:, known].T
-    step = se3.step_between(T_0, T_1)
-    for _ in range(_GAUGE_STEPS if len(open_) else 0):
-        free = open_limit * (open_.T @ (open_ @ (step / open_limit)))
-        if np.abs(free / open_limit).max() < 1e-9:
-            break
-        T_1 = se3.moved(T_1, -free)
-        step = se3.step_between(T_0, T_1)
-    whitened = (closed @ (step / open_limit)) / np.sqrt(variances[known])
-    chi_squared, dof = float(whitened @ whitened), int(known.sum())
+    _, step, closed, variances = _aligned(T_0, T_1, P, open_limit)
+    whitened = (closed @ (step / open_limit)) / np.sqrt(variances)
+    chi_squared, dof = float(whitened @ whitened), len(variances)
     std = np.sqrt(np.diagonal(P))
     # Half of the false alarms go to all directions together, half to the single axes.
     limit = np.sqrt(quantile(1, 0.5 * probability / 6))
@@ -132,6 +121,44 @@ def difference(
     return Difference(
         step, std, chi_squared, max(dof, 1), testable, testable & (std > weak_limit),
         (limit + _POWER) * std, differs, named)
+
+
+def without_open_directions(
+    T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, config: CalibrationConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """Return a (4, 4) extrinsic as near to another as its open directions allow, and the step."""
+    T_1, step, _, _ = _aligned(T_0, T_1, covariance, _open_limit(config))
+    return T_1, step
+
+
+def _open_limit(config: CalibrationConfig) -> FloatArray:
+    return np.array([config.unobserved_translation] * 3
+                    + [np.deg2rad(config.unobserved_rotation)] * 3)
+
+
+def _aligned(
+    T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, open_limit: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Move T_1 along what its covariance leaves open until it is as near to T_0 as it gets.
+
+    Returns
+    -------
+    tuple
+        T_1 (4, 4); the step to it (6,); rows (K, 6) of the known directions, orthonormal in
+        units of the limits; their variances (K,) in these units.
+
+    """
+    variances, vectors = np.linalg.eigh(covariance / np.outer(open_limit, open_limit))
+    known = variances <= 1.0
+    open_, closed = vectors[:, ~known].T, vectors[:, known].T
+    step = se3.step_between(T_0, T_1)
+    for _ in range(_GAUGE_STEPS if len(open_) else 0):
+        free = open_limit * (open_.T @ (open_ @ (step / open_limit)))
+        if np.abs(free / open_limit).max() < 1e-9:
+            break
+        T_1 = se3.moved(T_1, -free)
+        step = se3.step_between(T_0, T_1)
+    return T_1, step, closed, variances[known]
 
 
 def floored(covariance: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 import os
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from trajectory_calibration.errors import ConfigError
 
@@ -66,18 +66,32 @@ class Executor:
             The backend is not installed, or its cluster cannot be reached.
 
         """
+        yield from self._run(function, items, 'generator')
+
+    def unordered(
+        self, function: Callable[[_Item], _Result], items: Iterable[_Item],
+    ) -> Iterator[tuple[int, _Result]]:
+        """Yield the number of each item and its result, whichever is done first; see ``map``."""
+        numbered = list(enumerate(items))
+        # A cluster or a pool of processes takes longer to start than there is to do.
+        if numbered:
+            yield from self._run(_Numbered(function), numbered, 'generator_unordered')
+
+    def _run(
+        self, function: Callable[[_Item], _Result], items: Iterable[_Item], kind: str,
+    ) -> Iterator[_Result]:
         joblib = _load('joblib', 'fleet')
         calls = (joblib.delayed(function)(item) for item in items)
         if self.backend == 'dask':
             with self._connect():
                 with joblib.parallel_config(backend='dask'):
-                    parallel = joblib.Parallel(return_as='generator')
+                    parallel = joblib.Parallel(return_as=kind)
                 yield from parallel(calls)
             return
         # One thread each: the linear algebra here is too small to share.
         with joblib.parallel_config(
                 backend='loky', n_jobs=self.processes, inner_max_num_threads=1):
-            parallel = joblib.Parallel(return_as='generator')
+            parallel = joblib.Parallel(return_as=kind)
         yield from parallel(calls)
 
     def _connect(self) -> Any:
@@ -90,6 +104,16 @@ class Executor:
         except (OSError, ValueError) as error:
             raise ConfigError(
                 f'no Dask scheduler answers at {self.scheduler}: {error}') from error
+
+
+@dataclass(frozen=True)
+class _Numbered(Generic[_Item, _Result]):
+    """A function of numbered items that keeps the numbers."""
+
+    function: Callable[[_Item], _Result]
+
+    def __call__(self, item: tuple[int, _Item]) -> tuple[int, _Result]:
+        return item[0], self.function(item[1])
 
 
 def _load(module: str, extra: str) -> Any:

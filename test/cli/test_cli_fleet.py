@@ -1,0 +1,231 @@
+"""``trajectory_calibration fleet`` and ``compare``, as a person calls them."""
+
+import csv
+import io
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from cli_helpers import make_pair, rows, run, write_pair_bag, X
+import numpy as np
+import pytest
+
+from trajectory_calibration import CalibrationConfig, CalibrationResult, ConfigError
+from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.fleet.jobs import calibrate_job, Job, read_jobs, run_jobs
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.simulation import flat, Noise, Scenario, simulate, Unicycle, with_noise
+from trajectory_calibration.simulation.files import write_tum
+from trajectory_calibration.sources import bags as bag_source
+from trajectory_calibration.sources.storage import find_bag
+
+DAY_NS = 86_400 * 10**9
+STEP = np.array([0.08, 0, 0, 0, 0, np.deg2rad(1.5)])
+FAST = '--a', 'a.tum', '--b', 'b.tum', '--solver', 'park', '--jobs', '1'
+
+
+def write_drives(folder, count, moved_from=None):
+    """Write folders drive0, drive1, ... with a.tum and b.tum, one for each day."""
+    stamps_ns, poses_a, poses_b = make_pair()
+    for k in range(count):
+        rng = np.random.default_rng(k)
+        mounted = X if moved_from is None or k < moved_from else se3.moved(X, STEP)
+        noise = se3.exp_se3(rng.normal(size=(2, len(stamps_ns), 6)) * ([2e-3] * 3 + [1e-3] * 3))
+        drive = folder / f'drive{k}'
+        drive.mkdir(parents=True)
+        for name, poses in (('a', poses_a @ noise[0]),
+                            ('b', poses_b @ se3.inverse(X) @ mounted @ noise[1])):
+            lines = rows(stamps_ns + k * DAY_NS, poses)[1]
+            (drive / f'{name}.tum').write_text('\n'.join(lines) + '\n', encoding='utf-8')
+
+
+@pytest.fixture(scope='module')
+def drives(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('drives')
+    write_drives(folder, 12, moved_from=8)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def done(drives, tmp_path_factory):
+    from trajectory_calibration.cli.main import main
+    folder = tmp_path_factory.mktemp('done')
+    assert main(['fleet', f'{drives}/drive*', *FAST, '--output', str(folder)]) == 4
+    return folder
+
+
+def test_a_change_is_named_and_ends_with_4(drives, done, capsys):
+    start = time.monotonic()
+    status, out, err = run(capsys, 'fleet', f'{drives}/drive*', *FAST, '--output', done)
+    assert status == 4
+    assert out.startswith('CHANGED: drive0-7 | drive8-11: +0.0')
+    assert ' deg about z' in out
+    assert 'wrote ' in err
+    table = list(csv.DictReader((done / 'table.csv').open(encoding='utf-8')))
+    assert [row['name'] for row in table] == [f'drive{k}' for k in range(12)]
+    assert json.loads((done / 'table.json').read_text())['exit_status'] == 4
+    assert (done / 'fleet.html').read_text().count('class="change"') == 6
+    # Nothing was calibrated again: twelve drives take longer.
+    assert len(list((done / 'results').iterdir())) == 12
+    assert time.monotonic() - start < 60
+
+
+def test_compare_says_the_same_of_the_results(done, capsys, tmp_path):
+    results = sorted((done / 'results').iterdir(), reverse=True)
+    status, out, _ = run(capsys, 'compare', *results)
+    assert status == 4
+    assert 'CHANGED: drive0-' in out
+    status, out, err = run(capsys, 'compare', *results, '--format', 'json', '--output', tmp_path)
+    assert status == 4
+    assert json.loads(out)['changes'][0]['axes'] == ['about z', 'along x'] or (
+        'along x' in json.loads(out)['changes'][0]['axes'])
+    assert 'CHANGED' in err
+    assert (tmp_path / 'fleet.html').exists()
+    before = [path for path in results if int(path.name[5:].partition('-')[0]) < 8]
+    status, out, _ = run(capsys, 'compare', *before, '--format', 'csv')
+    assert status == 0
+    assert len(list(csv.DictReader(io.StringIO(out)))) == 8
+    assert run(capsys, 'compare', results[0])[0] == 1
+
+
+def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
+    shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'drive0')
+    folder = tmp_path / 'results'
+
+    def finish(config):
+        jobs = read_jobs([str(tmp_path / 'in' / 'drive0')], 'a.tum', 'b.tum', config)
+        (entry,) = run_jobs(jobs, folder, Executor(jobs=1))
+        (path,) = folder.iterdir()
+        return entry.result, path, path.stat().st_mtime_ns
+
+    first = finish(CalibrationConfig(solver='park'))
+    assert finish(CalibrationConfig(solver='park'))[1:] == first[1:]
+    other = finish(CalibrationConfig(solver='taylor'))
+    assert other[1] != first[1]
+    assert other[0].config.solver == 'taylor'
+    text = (tmp_path / 'in' / 'drive0' / 'a.tum').read_text()
+    (tmp_path / 'in' / 'drive0' / 'a.tum').write_text('# edited\n' + text)
+    assert finish(CalibrationConfig(solver='taylor'))[1] != other[1]
+
+
+def test_killed_half_way_it_goes_on(drives, tmp_path):
+    command = [sys.executable, '-m', 'trajectory_calibration', 'fleet', f'{drives}/drive*', *FAST,
+               '--output', str(tmp_path)]
+    results = tmp_path / 'results'
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not (results.exists() and any(results.glob('*.yaml'))):
+        assert time.monotonic() < deadline
+        assert process.poll() in (None, 4)
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = {path: path.stat().st_mtime_ns for path in results.glob('*.yaml')}
+    again = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert again.returncode == 4, again.stderr
+    assert 'CHANGED: drive0-7 | drive8-11' in again.stdout
+    assert len(list(results.glob('*.yaml'))) == 12
+    for path, stamp in kept.items():
+        CalibrationResult.load(path)
+        assert path.stat().st_mtime_ns == stamp
+
+
+def test_dask_gives_the_same_table(drives, done, tmp_path, capsys):
+    pytest.importorskip('distributed', reason='distributed is not installed')
+    options = [*FAST[:-2], '--jobs', '2', '--backend', 'dask']
+    status, _, err = run(capsys, 'fleet', f'{drives}/drive*', *options, '--output', tmp_path)
+    assert status == 4, err
+    assert (tmp_path / 'table.csv').read_text() == (done / 'table.csv').read_text()
+
+
+def test_bags_and_jobs_and_what_fails_is_named(drives, tmp_path, capsys):
+    write_pair_bag(tmp_path / 'monday.mcap')
+    (tmp_path / 'broken.mcap').write_bytes(b'\x89MCAP0\r\nhello')
+    (tmp_path / 'jobs.yaml').write_text(f"""
+a: /lidar/odom
+b: /camera/pose
+config: {{solver: park}}
+jobs:
+- monday.mcap
+- {{bag: broken.mcap, name: damaged}}
+- {{name: again, bag: [monday.mcap], frame_a: velodyne, config: {{solver: taylor}}}}
+- {{name: files, a: {drives}/drive0/a.tum, b: {drives}/drive0/b.tum}}
+""")
+    jobs = read_jobs([str(tmp_path / 'jobs.yaml')], None, None, CalibrationConfig())
+    assert [job.name for job in jobs] == ['monday', 'damaged', 'again', 'files']
+    entries = {entry.name: entry for entry in run_jobs(
+        jobs, tmp_path / 'results', Executor(jobs=1))}
+    assert entries['damaged'].result is None
+    assert 'broken.mcap' in entries['damaged'].failure
+    assert entries['monday'].result.config.solver == 'park'
+    assert entries['again'].result.config.solver == 'taylor'
+    assert entries['again'].result.frame_a == 'velodyne'
+    assert entries['files'].result is not None
+    bags = [str(tmp_path / name) for name in ('monday.mcap', 'broken.mcap')]
+    shutil.copytree(bags[0], tmp_path / 'tuesday.mcap')
+    status, out, err = run(
+        capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/lidar/odom', '--b', '/camera/pose',
+        '--solver', 'park', '--jobs', '1', '--output', tmp_path / 'out')
+    assert status == 0, err
+    assert 'broken: no answer: ' in err
+    assert '1 of 3 gave no answer' in out
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('jobs: []', 'no bags match'), ('a: 1', 'holds no jobs'), ('[1]', 'holds no jobs'),
+    ('jobs: [x.mcap]', 'a and b are not named'),
+    ('{a: /x, b: /y, jobs: [{bag: x.mcap, speed: 3}]}', "'speed' is unknown"),
+    ('{a: /x, b: /y, jobs: [{bag: x, name: n}, {bag: y, name: n}]}', 'two jobs are named n'),
+])
+def test_a_list_of_jobs_that_is_none_is_named(tmp_path, text, message):
+    (tmp_path / 'jobs.yaml').write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        read_jobs([str(tmp_path / 'jobs.yaml')], None, None, CalibrationConfig())
+
+
+def test_bags_without_sensors_are_wrong_usage(capsys, tmp_path):
+    status, _, err = run(capsys, 'fleet', 'x.mcap', '--output', tmp_path)
+    assert status == 2
+    assert 'give --a and --b' in err
+
+
+def test_one_topic_is_not_two_sensors(capsys):
+    status, out, err = run(capsys, 'fleet', 'x.mcap', '--a', '/a', '--b', '/a')
+    assert (status, out) == (2, '')
+    assert 'A and B are both /a; needed two sensors' in err
+
+
+def test_a_direction_that_a_drive_leaves_open_is_named(capsys, tmp_path):
+    noise = Noise(white=0.005)
+    for k in range(3):
+        (tmp_path / f'flat{k}').mkdir()
+        pair = simulate(with_noise(
+            Scenario(20.0, Unicycle(ground=flat) if k else Unicycle()), noise, noise), 0)
+        for name in 'ab':
+            write_tum(tmp_path / f'flat{k}' / f'{name}.tum', getattr(pair, name))
+    status, out, err = run(
+        capsys, 'fleet', f'{tmp_path}/flat*', *FAST[:4], '--solver', 'dnl', '--reference', 'B10',
+        '--jobs', '1', '--format', 'csv', '--output', tmp_path / 'out')
+    assert status == 0, out + err
+    assert [row['unobserved'] for row in csv.DictReader(io.StringIO(out))] == ['', 'z', 'z']
+
+
+def test_a_bag_is_opened_once_for_both_topics(tmp_path, monkeypatch):
+    bag = write_pair_bag(tmp_path / 'x.mcap')
+    opened = []
+    monkeypatch.setattr(
+        bag_source, 'find_bag', lambda path: opened.append(path) or find_bag(path))
+    data, reason = calibrate_job(Job('x', '/lidar/odom', '/camera/pose', (bag,)))
+    assert not reason
+    assert data['frame_a']
+    assert list(map(str, opened)) == [bag]
+
+
+def test_people_count_run2_before_run10(tmp_path):
+    for k in (10, 2, 1):
+        (tmp_path / f'run{k}.mcap').write_text('')
+    jobs = read_jobs([f'{tmp_path}/*.mcap'], '/a', '/b', CalibrationConfig())
+    assert [job.name for job in jobs] == ['run1', 'run2', 'run10']

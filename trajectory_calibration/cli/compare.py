@@ -1,0 +1,64 @@
+"""``trajectory_calibration compare``: saved results of the same sensors."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import sys
+
+from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.errors import ResultError
+from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
+from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
+from trajectory_calibration.outputs.fleet_page import fleet_page
+from trajectory_calibration.result import CalibrationResult
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        'compare', help='tell whether saved results are of one extrinsic, or since when not',
+        usage='%(prog)s [options] RESULT RESULT [RESULT ...]',
+        description='Put results of the same sensors in the order of their dates, and find where '
+        'the extrinsic changed. Exit status: 0 they agree, 4 they do not.')
+    parser.add_argument(
+        'results', metavar='RESULT', nargs='+', type=Path, help='result.yaml, two or more')
+    add_output_options(parser)
+    parser.set_defaults(run=run)
+
+
+def add_output_options(parser: argparse.ArgumentParser, output: Path | None = None) -> None:
+    """Add how the table is printed and where it is written."""
+    parser.add_argument(
+        '--format', choices=('text', 'csv', 'json'), default='text', help='of the output')
+    written = f'(default: {output})' if output else '(default: none is written)'
+    parser.add_argument(
+        '--output', type=Path, metavar='DIR', default=output,
+        help=f'folder for table.csv, table.json and fleet.html, the page of charts {written}')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compare and print the table."""
+    names = short_names([str(path) for path in arguments.results])
+    return report(
+        compare([Entry(name, CalibrationResult.load(path))
+                 for name, path in zip(names, arguments.results, strict=True)]), arguments)
+
+
+def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
+    """Print and write a comparison; return the exit status."""
+    text = {'text': to_text, 'csv': to_csv, 'json': to_json}[arguments.format](comparison)
+    print(text, end='' if text.endswith('\n') else '\n')
+    if arguments.format != 'text' and comparison.exit_status:
+        print('\n'.join(comparison.describe()), file=sys.stderr)
+    if arguments.output is not None:
+        folder: Path = arguments.output
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ResultError(f'{folder} cannot be made: {error.strerror or error}') from error
+        write_text(folder / 'table.csv', to_csv(comparison), ResultError)
+        write_text(folder / 'table.json', to_json(comparison) + '\n', ResultError)
+        write_text(folder / 'fleet.html', fleet_page(comparison), ResultError)
+        print(f'wrote {folder}/table.csv, table.json, fleet.html', file=sys.stderr)
+    return comparison.exit_status

@@ -1,0 +1,338 @@
+"""Many answers for one pair of sensors: one truth, or did a sensor move, and when.
+
+The answers, in the order of their dates, are split into stretches within which they agree: the
+split that minimises the sum of chi-squared about the mean of each stretch plus a penalty for each
+change, found by dynamic programming (B. Jackson et al., "An algorithm for optimal partitioning of
+data on an interval", IEEE Signal Processing Letters 12(2), 2005, doi:10.1109/LSP.2001.838216).
+The penalty is the chi-squared that chance exceeds at any of the possible changes with the stated
+probability. A mean is formed within a stretch only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+import re
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.errors import ResultError
+from trajectory_calibration.fleet.differences import (
+    describe_step,
+    Difference,
+    difference,
+    floored,
+    without_open_directions,
+)
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+
+# Results from which on the steps between neighbours say how large the errors really are.
+_ENOUGH_FOR_NOISE = 6
+
+_MINUTE_NS = 60 * 10**9
+
+# Errors beyond this many of their stated deviations are no noise: no mean is formed.
+_INCONSISTENT = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One answer of many.
+
+    Attributes
+    ----------
+    name : of the bag or file.
+    result : what was found, or None.
+    failure : why there is none, else ''.
+
+    """
+
+    name: str
+    result: CalibrationResult | None
+    failure: str = ''
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Answers in a row that agree.
+
+    Attributes
+    ----------
+    names : of the answers.
+    T_a_b : (4, 4), their mean, weighted by their covariances.
+    covariance : (6, 6), of the mean.
+
+    """
+
+    names: tuple[str, ...]
+    T_a_b: FloatArray
+    covariance: FloatArray
+
+    def describe(self) -> str:
+        """Return the names: 'fleet0-7', or 'monday.mcap ... friday.mcap'."""
+        return span_of(self.names)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What many answers say together.
+
+    Attributes
+    ----------
+    entries : all, by date.
+    stretches : of the answers, split at each change; empty where no mean can be formed.
+    changes : the difference from each stretch to the next.
+    chi_squared, degrees_of_freedom : of all answers about one common mean.
+    noise_ratio : how many times the errors exceed their stated deviations, at least 1.
+
+    """
+
+    entries: tuple[Entry, ...]
+    stretches: tuple[Stretch, ...]
+    changes: tuple[Difference, ...]
+    chi_squared: float
+    degrees_of_freedom: int
+    noise_ratio: float
+
+    @property
+    def exit_status(self) -> int:
+        """Return 0 where the answers agree, 4 where they do not."""
+        return 4 if self.changes or not self.stretches else 0
+
+    @property
+    def probability(self) -> float:
+        """Return the probability that answers of one truth scatter as much."""
+        return exceedance(self.chi_squared, max(self.degrees_of_freedom, 1))
+
+    def describe(self) -> list[str]:
+        """Return the verdict, one sentence a line."""
+        answers = [entry for entry in self.entries if entry.result is not None]
+        ratio = f'chi2/dof {self.chi_squared / max(self.degrees_of_freedom, 1):.2g}'
+        lines = []
+        if not self.stretches:
+            lines.append(
+                f'CONTRADICTION: the {len(answers)} answers scatter {self.noise_ratio:.1f} times '
+                f'as much as their deviations say ({ratio}), and no single change explains it. '
+                'Different vehicles, or wrong settings in some? No mean is formed')
+        for before, after, change in zip(
+                self.stretches, self.stretches[1:], self.changes, strict=False):
+            lines.append(
+                f'CHANGED: {before.describe()} | {after.describe()}: '
+                f'{describe_step(change.step, change.named)} ({change.sigma:.0f} sigma, chi2/dof '
+                f'{change.chi_squared / change.degrees_of_freedom:.3g})')
+        if len(self.stretches) == 1:
+            lines.append(f'AGREE: {len(answers)} answers are of one extrinsic ({ratio})')
+        if self.stretches and self.noise_ratio > 1.5:
+            lines.append(
+                f'deviations enlarged {self.noise_ratio:.1f} times: so much do neighbours scatter')
+        failed = len(self.entries) - len(answers)
+        if failed:
+            lines.append(f'{failed} of {len(self.entries)} gave no answer')
+        return lines
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON."""
+        return {
+            'exit_status': self.exit_status,
+            'sentences': self.describe(),
+            'chi_squared': self.chi_squared,
+            'degrees_of_freedom': self.degrees_of_freedom,
+            'probability': self.probability,
+            'noise_ratio': self.noise_ratio,
+            'changes': [
+                {'before': before.describe(), 'after': after.describe(), **change.to_dict()}
+                for before, after, change in zip(
+                    self.stretches, self.stretches[1:], self.changes, strict=False)],
+            'stretches': [{
+                'names': list(item.names),
+                'translation_m': item.T_a_b[:3, 3].tolist(),
+                'rotation_xyzw': se3.rotation_to_quaternion(item.T_a_b[:3, :3]).tolist(),
+                'std_m': np.sqrt(np.diagonal(item.covariance)[:3]).tolist(),
+                'std_deg': np.rad2deg(np.sqrt(np.diagonal(item.covariance)[3:])).tolist(),
+            } for item in self.stretches],
+            'rows': [row(entry) for entry in self.entries],
+        }
+
+
+COLUMNS = (
+    'name', 'start_utc', 'x_m', 'y_m', 'z_m', 'roll_deg', 'pitch_deg', 'yaw_deg', 'x_std_m',
+    'y_std_m', 'z_std_m', 'rotation_x_std_deg', 'rotation_y_std_deg', 'rotation_z_std_deg',
+    'unobserved', 'residual_m', 'residual_deg', 'motions', 'findings', 'failure')
+
+
+def row(entry: Entry) -> dict[str, Any]:
+    """Return one line of the table, by ``COLUMNS``; None where there is no answer."""
+    cells: dict[str, Any] = dict.fromkeys(COLUMNS)
+    cells.update(name=entry.name, failure=entry.failure)
+    result = entry.result
+    if result is not None:
+        rpy = np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3]))
+        std = result.std
+        cells.update(zip(COLUMNS[2:8], [*result.T_a_b[:3, 3].tolist(), *rpy.tolist()],
+                         strict=True))
+        if std is not None:
+            cells.update(zip(COLUMNS[8:14], [*std[:3].tolist(), *np.rad2deg(std[3:]).tolist()],
+                             strict=True))
+        cells.update(
+            start_utc=result.start_utc, unobserved=', '.join(result.observability.unobserved),
+            residual_m=result.metrics.e_rt, residual_deg=float(np.rad2deg(result.metrics.e_rR)),
+            motions=result.motions,
+            findings=' '.join(dict.fromkeys(found.code for found in result.findings)))
+    return cells
+
+
+def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Comparison:
+    """Compare answers.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+        Sorted by their dates here; those without a date, or of one minute, keep their order.
+    probability : float
+        Of finding a change among answers of one truth.
+
+    Raises
+    ------
+    ResultError
+        Fewer than two answers, or answers for different frames.
+
+    """
+    ordered = sorted(entries, key=lambda entry: (
+        (entry.result.start_ns or 0) // _MINUTE_NS if entry.result is not None
+        else float('inf')))
+    answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
+    if len(answers) < 2:
+        raise ResultError(f'{len(answers)} answers, needed at least 2 to compare')
+    frames = {(result.frame_a, result.frame_b) for _, result in answers}
+    if len(frames) > 1:
+        pairs = '; '.join(f'{b} in {a}' for a, b in sorted(frames))
+        raise ResultError(f'answers for different frames cannot be compared: {pairs}')
+    results = [result for _, result in answers]
+    if any(result.covariance is None for result in results):
+        raise ResultError('an answer has no covariance to compare with; calibrate again')
+    config = results[0].config
+    covariances = [floored(np.asarray(result.covariance)) for result in results]
+    base = results[int(np.argmin([_size(P) for P in covariances]))].T_a_b
+    steps = np.array([without_open_directions(base, result.T_a_b, P, config)[1]
+                      for result, P in zip(results, covariances, strict=True)])
+    noise_ratio = _noise_ratio(results, covariances)
+    information = np.linalg.inv(np.array(covariances)) / noise_ratio**2
+    sums = _Sums.of(steps, information)
+    # Half of what is stated: the other half goes to the single axes of each change.
+    penalty = quantile(6, 0.5 * probability / (len(results) - 1))
+    edges = _partition(sums, penalty)
+    chi_squared = sums.cost(0, len(results)) * noise_ratio**2
+    dof = sum(_known(P, config) for P in covariances) - 6
+    names = [name for name, _ in answers]
+    stretches = [
+        Stretch(tuple(names[i:j]), se3.moved(base, mean), P)
+        for i, j in pairwise(edges) for mean, P in [sums.mean(i, j)]]
+    changes = tuple(
+        difference((one.T_a_b, one.covariance), (two.T_a_b, two.covariance), config,
+                   probability / (len(results) - 1))
+        for one, two in pairwise(stretches))
+    if noise_ratio > _INCONSISTENT and not changes:
+        stretches = []
+    return Comparison(tuple(ordered), tuple(stretches), changes, chi_squared, max(dof, 1),
+                      noise_ratio)
+
+
+def _size(covariance: FloatArray) -> float:
+    """Return the sum of a (6, 6) covariance's variances; a radian counts as a metre."""
+    return float(np.trace(covariance))
+
+
+def _known(covariance: FloatArray, config: Any) -> int:
+    """Return how many axes a (6, 6) covariance knows."""
+    limits = np.array([config.unobserved_translation] * 3
+                      + [np.deg2rad(config.unobserved_rotation)] * 3)
+    return int(np.count_nonzero(np.sqrt(np.diagonal(covariance)) <= limits))
+
+
+def _noise_ratio(
+    results: Sequence[CalibrationResult], covariances: Sequence[FloatArray],
+) -> float:
+    """Return how many times neighbours differ by more than their deviations say, at least 1.
+
+    The median over the steps between neighbours: a few changes do not move it.
+    """
+    if len(results) < _ENOUGH_FOR_NOISE:
+        return 1.0
+    ratios = []
+    for k in range(len(results) - 1):
+        step = difference((results[k].T_a_b, covariances[k]),
+                          (results[k + 1].T_a_b, covariances[k + 1]), results[0].config)
+        ratios.append(step.chi_squared / quantile(step.degrees_of_freedom, 0.5))
+    return float(np.sqrt(max(1.0, np.median(ratios))))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Running sums of information (N + 1, 6, 6), of it times steps, and of the squares."""
+
+    information: FloatArray
+    weighted: FloatArray
+    squares: FloatArray
+
+    @classmethod
+    def of(cls, steps: FloatArray, information: FloatArray) -> _Sums:
+        weighted = np.einsum('kij,kj->ki', information, steps)
+        squares = np.einsum('ki,ki->k', weighted, steps)
+        return cls(*(np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
+                     for each in (information, weighted, squares)))
+
+    def mean(self, start: int, end: int) -> tuple[FloatArray, FloatArray]:
+        """Return the (6,) mean of the steps [start, end) and its (6, 6) covariance."""
+        P = np.linalg.inv(self.information[end] - self.information[start])
+        return P @ (self.weighted[end] - self.weighted[start]), 0.5 * (P + P.T)
+
+    def cost(self, start: int, end: int) -> float:
+        """Return chi-squared of the steps [start, end) about their mean."""
+        mean, _ = self.mean(start, end)
+        return max(0.0, float(self.squares[end] - self.squares[start]
+                              - mean @ (self.weighted[end] - self.weighted[start])))
+
+
+def _partition(sums: _Sums, penalty: float) -> list[int]:
+    """Return the edges of the stretches: 0, each change, the number of answers."""
+    count = len(sums.squares) - 1
+    best = np.full(count + 1, np.inf)
+    best[0] = -penalty
+    last = np.zeros(count + 1, dtype=int)
+    for end in range(1, count + 1):
+        costs = [best[start] + sums.cost(start, end) + penalty for start in range(end)]
+        last[end] = int(np.argmin(costs))
+        best[end] = costs[last[end]]
+    edges = [count]
+    while edges[-1] > 0:
+        edges.append(int(last[edges[-1]]))
+    return edges[::-1]
+
+
+def span_of(names: Sequence[str]) -> str:
+    """Return several names in short: 'fleet0-7' for fleet0 ... fleet7."""
+    if len(names) == 1:
+        return names[0]
+    first, last = names[0], names[-1]
+    one, two = (re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in (first, last))
+    if one and two and (one[1], one[3]) == (two[1], two[3]) and int(one[2]) < int(two[2]):
+        return f'{one[1]}{one[2]}-{two[2]}{one[3]}'
+    return f'{first} ... {last}'
+
+
+def short_names(paths: Sequence[str]) -> list[str]:
+    """Return names that tell paths apart: their last part, or what is left of the common ends."""
+    stems = [re.sub(r'(?<=.)(\.(ya?ml|mcap|db3|bag|tum))+$', '', path.rstrip('/'))
+             for path in paths]
+    names = [Path(stem).name for stem in stems]
+    if len({*names}) == len(names):
+        return names
+    parents = [Path(stem).parent.name for stem in stems]
+    return parents if len({*parents}) == len(parents) else stems
+

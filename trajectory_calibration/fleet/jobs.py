@@ -1,0 +1,257 @@
+"""Recordings to calibrate, each by itself: which they are, and their results on disk.
+
+A job that has a result file is done: a run that was killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+import glob
+import hashlib
+import json
+from pathlib import Path
+import re
+from typing import Any
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
+from trajectory_calibration.fleet.comparison import Entry, short_names
+from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.sources.files import BAG_SUFFIXES
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
+from trajectory_calibration.version import __version__
+
+_OPTIONS = tuple(item.name for item in fields(InputOptions))
+
+# What one job may say, and all of them together beside the list of jobs.
+_KEYS = ('a', 'b', 'bag', 'name', 'config',
+         *(f'{name}_{sensor}' for name in _OPTIONS for sensor in 'ab'))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One recording of the two sensors.
+
+    Attributes
+    ----------
+    name : of its result.
+    a, b : files, or topics or ``tf:PARENT.CHILD`` of the bags.
+    bags : paths; empty where a and b are files.
+    config : how to calibrate.
+    options_a, options_b : how to read a and b.
+
+    """
+
+    name: str
+    a: str
+    b: str
+    bags: tuple[str, ...] = ()
+    config: CalibrationConfig = field(default_factory=CalibrationConfig)
+    options_a: InputOptions = field(default_factory=InputOptions)
+    options_b: InputOptions = field(default_factory=InputOptions)
+
+    @property
+    def fingerprint(self) -> str:
+        """Return 8 digits that change with the settings, the inputs and the version."""
+        stats = []
+        for path in map(Path, self.bags or (self.a, self.b)):
+            files = sorted(path.iterdir()) if path.is_dir() else [path]
+            stats += [(str(item), item.stat().st_size, item.stat().st_mtime_ns)
+                      for item in files if item.exists()]
+        said = json.dumps([asdict(self), stats, __version__], default=str, sort_keys=True)
+        return hashlib.sha256(said.encode()).hexdigest()[:8]
+
+
+def read_jobs(
+    specifications: Sequence[str], a: str | None, b: str | None, config: CalibrationConfig,
+) -> list[Job]:
+    """Return the jobs of a YAML file, or one for each bag or folder that patterns match.
+
+    Parameters
+    ----------
+    specifications : sequence of str
+        One file ``*.yaml`` with a list ``jobs``; or paths and patterns of bags, or of folders
+        that hold the files ``a`` and ``b``.
+    a, b : str, optional
+        Topics of every bag, or names of the files in every folder. In a YAML file ``a`` and
+        ``b`` beside the jobs, or of one job, come first.
+    config : CalibrationConfig
+        For all; changed by ``config`` in the YAML file, then by that of a job.
+
+    Raises
+    ------
+    ConfigError
+        No jobs, a key that is unknown, or sensors that are not named.
+
+    """
+    if len(specifications) == 1 and Path(specifications[0]).suffix in ('.yaml', '.yml'):
+        jobs = _from_yaml(Path(specifications[0]), a, b, config)
+    else:
+        paths = [path for pattern in specifications for path in _expand(pattern)]
+        jobs = [_from_path(path, a, b, config) for path in paths]
+    if not jobs:
+        raise ConfigError(f'no bags match {" ".join(specifications)}')
+    jobs = _named(jobs)
+    names = [job.name for job in jobs]
+    if len({*names}) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ConfigError(f'two jobs are named {twice}; give each a name of its own')
+    return jobs
+
+
+def _expand(pattern: str) -> list[str]:
+    # In the order in which people count: run2 before run10.
+    found = sorted(glob.glob(pattern, recursive=True), key=_natural)  # noqa: PTH207
+    return found or [pattern]
+
+
+def _natural(text: str) -> list[tuple[int, str]]:
+    return [(int(part), '') if part.isdigit() else (-1, part)
+            for part in re.split(r'(\d+)', text)]
+
+
+def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfig) -> Job:
+    if a is None or b is None:
+        raise ConfigError(
+            f'{path}: the sensors are not named; give --a and --b: topics of a bag, or names of '
+            'files in a folder')
+    if a == b:
+        raise ConfigError(f'A and B are both {a}; needed two sensors')
+    folder = Path(path)
+    if folder.is_dir() and not _holds_bag(folder):
+        return Job('', str(folder / a), str(folder / b), (), config)
+    return Job('', a, b, (path,), config)
+
+
+def _holds_bag(folder: Path) -> bool:
+    return any(item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
+               for item in folder.iterdir())
+
+
+def _from_yaml(
+    path: Path, a: str | None, b: str | None, config: CalibrationConfig,
+) -> list[Job]:
+    data = read_yaml(path, 'a list of jobs', ConfigError)
+    if not isinstance(data, Mapping) or not isinstance(data.get('jobs'), list):
+        raise ConfigError(f'{path} holds no jobs; needed a list "jobs:", see docs/fleet.md')
+    common = {'a': a, 'b': b, **{key: value for key, value in data.items() if key != 'jobs'}}
+    jobs = []
+    for item in data['jobs']:
+        given = item if isinstance(item, Mapping) else {'bag': item}
+        merged = {**common, **given}
+        for key in merged:
+            if key not in _KEYS:
+                raise ConfigError(f'{path}: {key!r} is unknown; known are {", ".join(_KEYS)}')
+        settings = {**config.to_dict(), **(common.get('config') or {}),
+                    **(given.get('config') or {})}
+        merged['config'] = CalibrationConfig.from_dict(settings)
+        jobs.append(_from_mapping(path.parent, merged))
+    return jobs
+
+
+def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
+    bags = given.get('bag') or []
+    bags = [bags] if isinstance(bags, str) else list(map(str, bags))
+    bags = [str(folder / bag) for bag in bags]
+    a, b = (None if given.get(key) is None else str(given[key]) for key in 'ab')
+    if a is None or b is None:
+        raise ConfigError(f'job {bags or dict(given)}: a and b are not named')
+    if a == b:
+        raise ConfigError(f'job {bags or dict(given)}: A and B are both {a}; needed two sensors')
+    if not bags:
+        a, b = (str(folder / name) for name in (a, b))
+    options = [InputOptions(**{
+        option: given[f'{option}_{sensor}'] for option in _OPTIONS
+        if f'{option}_{sensor}' in given}) for sensor in 'ab']
+    return Job(str(given.get('name') or ''), a, b, tuple(bags), given['config'], *options)
+
+
+def _named(jobs: Sequence[Job]) -> list[Job]:
+    """Return the jobs with names for files, where none is given those that tell them apart."""
+    unnamed = [job.bags[0] if job.bags else job.a for job in jobs if not job.name]
+    short = iter(short_names(unnamed))
+    names = [job.name or next(short) for job in jobs]
+    return [replace(job, name=re.sub(r'[^\w.+-]', '_', name.strip('/')))
+            for job, name in zip(jobs, names, strict=True)]
+
+
+def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
+    """Return the result of one job as plain data, or the reason why there is none."""
+    inputs = {'sensor_a': (job.a, job.options_a), 'sensor_b': (job.b, job.options_b)}
+    try:
+        a, b = load_inputs(inputs, job.bags).values()
+        return calibrate(a, b, job.config).to_dict(), ''
+    except CalibrationError as error:
+        return None, ' '.join(str(error).split())
+    except Exception as error:  # noqa: BLE001
+        # One broken bag of many must not end the others, whatever breaks in its reader.
+        return None, f'{type(error).__name__}: {" ".join(str(error).split())}'
+
+
+def run_jobs(
+    jobs: Sequence[Job], folder: Path, executor: Executor,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[Entry]:
+    """Calibrate what has no result in the folder yet; yield every job as it is done.
+
+    Each result is a file ``NAME-FINGERPRINT.yaml``, written as soon as it is there. Jobs without
+    an answer are tried again the next time.
+
+    Raises
+    ------
+    ResultError
+        The folder cannot be written.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ResultError(f'{folder} cannot be made: {error.strerror or error}') from error
+    waiting: list[Job] = []
+    done = 0
+    for job in jobs:
+        found = _finished(folder, job)
+        if found is None:
+            waiting.append(job)
+            continue
+        done += 1
+        if progress is not None:
+            progress(done, len(jobs))
+        yield Entry(job.name, found)
+    for k, (data, reason) in executor.unordered(calibrate_job, waiting):
+        job = waiting[k]
+        entry = Entry(job.name, None, reason)
+        if data is not None:
+            _forget(folder, job.name)
+            write_yaml(_file(folder, job), data)
+            entry = Entry(job.name, CalibrationResult.from_dict(data))
+        done += 1
+        if progress is not None:
+            progress(done, len(jobs))
+        yield entry
+
+
+def _file(folder: Path, job: Job) -> Path:
+    return folder / f'{job.name}-{job.fingerprint}.yaml'
+
+
+def _finished(folder: Path, job: Job) -> CalibrationResult | None:
+    path = _file(folder, job)
+    if not path.exists():
+        return None
+    try:
+        return CalibrationResult.load(path)
+    except ResultError:
+        # Spoilt, or of another version: made again.
+        return None
+
+
+def _forget(folder: Path, name: str) -> None:
+    """Remove results of the same job with other settings or inputs."""
+    for path in folder.iterdir():
+        if re.fullmatch(rf'{re.escape(name)}-[0-9a-f]{{8}}\.yaml', path.name):
+            path.unlink()

@@ -1,0 +1,71 @@
+"""Many answers as text, CSV and JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+from trajectory_calibration.fleet.comparison import COLUMNS, Comparison, Entry, row
+
+_HEAD = ('', 'date', 'x', 'y', 'z [m]', 'roll', 'pitch', 'yaw [deg]', 'findings')
+
+_SHOWN_FINDINGS = 2
+
+
+def to_text(comparison: Comparison) -> str:
+    """Return the verdict, then one line for each answer."""
+    rows = [_HEAD, *(_cells(entry) for entry in comparison.entries)]
+    widths = [max(len(cells[k]) for cells in rows if len(cells) > 3) for k in range(len(_HEAD))]
+    lines = [*comparison.describe(), '']
+    for cells in rows:
+        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
+        lines.append('  '.join(padded).rstrip())
+    legend = ('value +- standard deviation, along and about the axes of a; unknown: the motion '
+              'does not determine it')
+    return '\n'.join([*lines, '', legend]) + '\n'
+
+
+def to_csv(comparison: Comparison) -> str:
+    """Return one row for each answer, the units in the names of the columns."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
+    writer.writeheader()
+    for entry in comparison.entries:
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in row(entry).items()})
+    return text.getvalue()
+
+
+def to_json(comparison: Comparison) -> str:
+    """Return everything as one JSON object."""
+    return json.dumps(comparison.to_dict())
+
+
+def _cells(entry: Entry) -> tuple[str, ...]:
+    if entry.result is None:
+        return entry.name, 'no answer', entry.failure
+    cells = row(entry)
+    date = (cells['start_utc'] or '').replace('T', ' ').removesuffix('Z')
+    return (entry.name, date, *values_of(entry), _findings(cells['findings']))
+
+
+def values_of(entry: Entry) -> tuple[str, ...]:
+    """Return x, y, z, roll, pitch, yaw in words: '0.209 +- 0.063', 'unknown'."""
+    if entry.result is None:
+        return ('',) * 6
+    cells = row(entry)
+    status = list(entry.result.observability.status.values())
+    words = []
+    for k, (value, std) in enumerate(zip(COLUMNS[2:8], COLUMNS[8:14], strict=True)):
+        digits = 4 if k < 3 else 3
+        deviation = '' if cells[std] is None else f' +- {cells[std]:.{digits}f}'
+        words.append('unknown' if status[k] == 'unobserved'
+                     else f'{cells[value]:.{digits}f}{deviation}')
+    return tuple(words)
+
+
+def _findings(codes: str) -> str:
+    found = codes.split()
+    more = len(found) - _SHOWN_FINDINGS
+    return ' '.join(found[:_SHOWN_FINDINGS]) + (f' +{more}' if more > 0 else '')
