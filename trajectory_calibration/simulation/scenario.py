@@ -119,7 +119,9 @@ class SimulatedPair:
     T_a_b: FloatArray
 
 
-def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
+def simulate(
+    scenario: Scenario, seed: int, T_a_b: FloatArray | None = None,
+) -> SimulatedPair:
     """Draw one run of a scenario.
 
     The generator of Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023,
@@ -132,6 +134,8 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
         What moves, and how it is seen.
     seed : int
         Of everything random.
+    T_a_b : (4, 4), optional
+        How sensor b is mounted; drawn from the seed where omitted.
 
     Returns
     -------
@@ -142,7 +146,8 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
     for_path, for_frames, for_a, for_b = np.random.SeedSequence(seed).spawn(4)
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     rng = np.random.default_rng(for_frames)
-    T_a_b = random_pose(rng)
+    drawn = random_pose(rng)
+    T_a_b = drawn if T_a_b is None else T_a_b
     T_worldb_worlda = random_pose(rng)
     return SimulatedPair(
         a=_observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
