@@ -23,7 +23,6 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'clock-uneven': ('warning', 'one clock deviates from a constant drift'),
     'direction-unobserved': ('serious', 'the motion does not determine this direction'),
     'direction-weak': ('warning', 'this direction is determined, but badly'),
-    'drift-proven': ('warning', 'one trajectory drifts steadily against the other'),
     'errors-bounded': ('warning', 'errors are correlated and bounded, as of GNSS/INS'),
     'frames-equal': ('warning', 'both sensors have the same frame name'),
     'half-turns': ('note', 'motions near half a turn were excluded, or kept as published'),
@@ -46,6 +45,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'stamps-unpadded': ('note', 'times were written as sec.nsec without leading zeros; repaired'),
     'systematic-drift': ('note', 'one trajectory drifts steadily; corrected'),
     'time-unit': ('warning', 'steps are far too long: another unit of time?'),
+    'uncorrected': ('warning', 'a scale, drift or clock offset that this solver cannot correct'),
     'zhuang-large-rotation': ('note', 'zhuang is inaccurate at large rotations'),
 }
 
