@@ -150,8 +150,8 @@ def simulate(
     T_a_b = drawn if T_a_b is None else T_a_b
     T_worldb_worlda = random_pose(rng)
     return SimulatedPair(
-        a=_observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
-        b=_observe(scenario.b, scenario.duration,
+        a=observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
+        b=observe(scenario.b, scenario.duration,
                    T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
         T_a_b=T_a_b,
     )
@@ -174,7 +174,7 @@ def _count(duration: float, rate: float) -> int:
     return int(duration * rate + 1e-6) + 1
 
 
-def _observe(
+def observe(
     sensor: Sensor, duration: float, poses: FloatArray, seed: np.random.SeedSequence,
 ) -> Trajectory:
     """Report true (N, 4, 4) poses, evenly spaced in time, as the sensor's SLAM would."""
