@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -32,6 +33,16 @@ from trajectory_calibration.rig.result import (
 )
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.tree import build_tree, Pair, Tree
+
+# The finding of each kind of contradiction.
+_CODES = {
+    'moved': 'rig-mount-moved', 'clock': 'rig-clock', 'loops': 'rig-contradiction',
+    'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
+
+# What a driver does about a component that is open.
+_SHOWN_BY = {
+    'x': 'curves', 'y': 'curves', 'z': 'ramps and banks', 'rotation x': 'ramps and banks',
+    'rotation y': 'ramps and banks', 'rotation z': 'curves'}
 
 # Contradictions that are looked for one after the other, each without the ones before.
 _MOST_DOUBTED = 3
@@ -154,7 +165,7 @@ def _of_two(
     return RigResult(
         base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
         contradictions=(), chi_squared=0.0, degrees=0, p_value=1.0,
-        findings=tuple(map(str, result.warnings)), config=config)
+        findings=tuple(result.findings), config=config)
 
 
 def _of_answers(
@@ -263,9 +274,12 @@ def _solve_group(
     rows = np.concatenate([np.arange(6 * k - 6, 6 * k) for k in kept] or [np.zeros(0, int)])
     sensors = {}
     for k in (0, *kept):
-        P = np.zeros((6, 6)) if k == 0 else fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]
+        answer = _answer(group[k], group[0], fused.X[k], _block(fused, k), config, trajectories)
+        by_motion = judged(_block(without, k), config.calibration)
         sensors[group[k]] = replace(
-            _answer(group[k], group[0], fused.X[k], P, config, trajectories, pairs, k),
+            answer,
+            status={name: 'prior' if by_motion[name] == 'unobserved' != status else status
+                    for name, status in answer.status.items()},
             scale=float(tree.scales[k]), scale_std=float(tree.scale_stds[k]),
             clock=tree.clocks[k],
             noise=tree.sensor_noise[k] if tree.sensor_noise else None)
@@ -281,6 +295,13 @@ def _solve_group(
         free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
         p_value=survival(without.chi_squared, without.degrees), findings=(), config=config)
+
+
+def _block(fused: Fused, k: int) -> FloatArray:
+    """Return the (6, 6) covariance of sensor k of a tree; zero of its base."""
+    if k == 0:
+        return np.zeros((6, 6))
+    return fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]
 
 
 def _doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
@@ -349,8 +370,7 @@ def _against_priors(
     found = []
     for k, prior in priors.items():
         known = np.isfinite(prior.std)
-        P = fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k][np.ix_(known, known)]
-        P = P + np.diag(prior.std[known]**2)
+        P = _block(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
         deviation = prior.deviation(fused.X[k])[known]
         scale = np.sqrt(np.diagonal(P))
         worst = float(np.abs(deviation / scale).max())
@@ -381,17 +401,13 @@ def _other_clocks(tree: Tree) -> list[Contradiction]:
 
 def _answer(
     name: str, base: str, X: FloatArray, covariance: FloatArray, config: RigConfig,
-    trajectories: Mapping[str, Trajectory], pairs: Sequence[Pair] = (), number: int = -1,
+    trajectories: Mapping[str, Trajectory],
 ) -> SensorAnswer:
     trajectory = trajectories.get(name)
     frame = config.of(name).frame or (name if trajectory is None else trajectory.sensor_frame)
-    status = judged(covariance, config.calibration)
-    if name != base and not config.of(name).prior.given:
-        # What every pair of a sensor leaves open, no other sensor knows.
-        own = [pair.result for pair in pairs if number in (pair.parent, pair.child)]
-        del own
     return SensorAnswer(
-        name=name, frame=frame, base=base, T_base_sensor=X, covariance=covariance, status=status,
+        name=name, frame=frame, base=base, T_base_sensor=X, covariance=covariance,
+        status=judged(covariance, config.calibration),
         poses=0 if trajectory is None else len(trajectory))
 
 
@@ -405,24 +421,29 @@ def _status_of(
 def _findings(
     sensors: Mapping[str, SensorAnswer], groups: Sequence[Sequence[str]],
     contradictions: Sequence[Contradiction], p_value: float,
-) -> tuple[str, ...]:
-    found = [item.text for item in contradictions]
+) -> tuple[Finding, ...]:
+    found = [
+        Finding(_CODES[item.kind], item.text, {'sensor': item.sensor, 'p_value': item.p_value})
+        for item in contradictions]
     trees = [group for group in groups if len(group) > 1]
     if len(trees) > 1:
-        found.append(
+        found.append(Finding('rig-groups', (
             f'{len(trees)} groups of sensors share no motion with each other: '
-            f'{"; ".join(", ".join(tree) for tree in trees)}. Each is answered by itself')
+            f'{"; ".join(", ".join(tree) for tree in trees)}. Each is answered by itself')))
     open_: dict[str, list[str]] = {}
     for sensor in sensors.values():
         for component in sensor.unobserved:
             open_.setdefault(component, []).append(sensor.name)
     found += [
-        f'{component} of {", ".join(names)} is unobservable: drive so that it shows (a ramp for '
-        'heights), or give a prior of the sensor' for component, names in open_.items()]
+        Finding('direction-unobserved', (
+            f'{component} of {", ".join(names)} unobservable. Drive {_SHOWN_BY[component]}, or '
+            'give a prior below the sensor'), {'component': component, 'sensors': names})
+        for component, names in open_.items()]
     if p_value < ALARM:
-        found.append(f'the loops do not close within the standard deviations (p = {p_value:.1g}): '
-                     'the standard deviations are too small')
-    return tuple(found)
+        found.append(Finding('rig-loops', (
+            f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '
+            'standard deviations are too small'), {'p_value': p_value}))
+    return worst_first(found)
 
 
 def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:

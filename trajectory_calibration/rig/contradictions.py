@@ -103,18 +103,19 @@ def find_moved(
     steps, samples = _steps(grid, half)
     for s in range(sensors):
         evidence = _Evidence(*_blocks(levels, noise, s, size, blocks))
-        tried = [(cut * size, None, *change) for cut in range(blocks)
-                 if (change := evidence.change(cut, cut)) is not None]
-        jumps = [(sample, jump, *change) for sample, jump in _jumps(noise[best], steps, samples, s, half)
-                 if (change := evidence.change(sample // size, sample // size + 1)) is not None]
-        for sample, jump, twist, weight in (*tried, *jumps):
-            chi_squared = float(twist @ weight @ twist)
+        tried = [(cut * size, None, *told) for cut in range(blocks)
+                 if (told := evidence.change(cut, cut)) is not None]
+        jumps = [(sample, jump, *told)
+                 for sample, jump in _jumps(noise[best], steps, samples, s, half)
+                 if (told := evidence.change(sample // size, sample // size + 1)) is not None]
+        for sample, jump, change, weight in (*tried, *jumps):
+            twist = change if jump is None else jump
+            chi_squared = float(change @ weight @ change)
             p_value = survival(chi_squared, 6) * len(tried)
             if jump is not None:
-                chi_squared -= float((twist - jump) @ weight @ (twist - jump))
+                chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.
                 p_value = math.erfc(math.sqrt(max(chi_squared, 0.0) / 2)) / 2 * len(jumps)
-                twist = jump
             step = twist.copy()
             step[:3] += np.cross(twist[3:], X[s, :3, 3])
             found.append(Moved(s, sample, step, chi_squared, 6 if jump is None else 1,
@@ -134,12 +135,13 @@ def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
     part = grid.poses[:, index]
     motion = se3.inverse(part[:, :, :1]) @ part
     away = se3.log_se3(se3.inverse(motion[0]) @ motion)
-    running = np.concatenate([np.zeros((*away.shape[:2], 1, 6)), np.cumsum(away, axis=2)], axis=2)
+    nothing = np.zeros((*away.shape[:2], 1, 6))
+    running = np.cumsum(np.concatenate([nothing, away], axis=2), axis=2)
     cuts = np.arange(half, 3 * half)
-    step = (running[:, :, cuts + half] - 2 * running[:, :, cuts] + running[:, :, cuts - half]) / half
+    step = running[:, :, cuts + half] - 2 * running[:, :, cuts] + running[:, :, cuts - half]
     known = grid.known[:, index].all(axis=(0, 2))
     samples = (starts[known, None] + cuts).ravel()
-    return step[:, known].reshape(len(step), -1, 6), samples
+    return step[:, known].reshape(len(step), -1, 6) / half, samples
 
 
 def _jumps(
@@ -239,7 +241,7 @@ def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int,
         return []
     usual = float(np.median(seconds[same]))
     off = seconds - usual
-    return [(k, -float(off[k])) for k in np.flatnonzero(
+    return [(int(k), -float(off[k])) for k in np.flatnonzero(
         (np.abs(off) > _OTHER_CLOCK_S) & (np.abs(off) > _SURE * sure))]
 
 

@@ -101,8 +101,9 @@ def fuse(
         none = np.zeros(0)
         return Fused(start, np.zeros((0, 0)), np.zeros((0, 6)), none, 0.0, 0)
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
-    roots = [np.linalg.cholesky(regular(C[p, :, p])) / (1.0 if trust[p] else _DOUBTED)
-             for p in range(len(pairs))]
+    doubt = np.where(trust, 1.0, 1.0 / _DOUBTED)
+    roots = list(np.linalg.cholesky(np.stack([
+        regular(C[p, :, p]) * doubt[p]**2 for p in range(len(pairs))])))
     X, step = start.copy(), np.full(1, np.inf)
     for _ in range(_MAX_STEPS):
         residual, A = _linearise(X, pairs, answers, columns)
@@ -121,7 +122,7 @@ def fuse(
             'of their pairs contradict each other; leave a sensor out')
     residual, A = _linearise(X, pairs, answers, columns)
     known = _prior_rows(X, priors or {}, columns)[0]
-    triangle = np.linalg.qr(np.concatenate([_whitened(roots, A), known]), mode='r')
+    triangle = np.linalg.qr(np.concatenate([_whitened(roots, A), known]))[1]
     inverse = np.linalg.inv(triangle)
     G = inverse @ inverse.T
     # How the answer moves with the answers of the pairs.

@@ -108,7 +108,9 @@ def covariances(variances: FloatArray, X: FloatArray) -> FloatArray:
     return Ad @ own @ np.swapaxes(Ad, 1, 2)
 
 
-def white_and_drift(levels: list[Level], variances: FloatArray, step_s: float) -> list[SensorNoise]:
+def white_and_drift(
+    levels: list[Level], variances: FloatArray, step_s: float,
+) -> list[SensorNoise]:
     """Return white noise and random walk of every sensor, fitted to (T, S, 2) variances.
 
     The halves of a window of 2 h samples average h poses each: white noise of variance w leaves
@@ -192,8 +194,8 @@ def _nonnegative(A: FloatArray, y: FloatArray) -> FloatArray:
 def _continued(variances: FloatArray) -> FloatArray:
     """Fill what a length does not tell with the nearest shorter one, then the nearest longer."""
     filled = variances.copy()
-    for order in (range(1, len(filled)), range(len(filled) - 2, -1, -1)):
-        for t in order:
-            other = filled[t - 1] if isinstance(order, range) and order.step > 0 else filled[t + 1]
-            filled[t] = np.where(np.isfinite(filled[t]), filled[t], other)
+    for t in range(1, len(filled)):
+        filled[t] = np.where(np.isfinite(filled[t]), filled[t], filled[t - 1])
+    for t in range(len(filled) - 2, -1, -1):
+        filled[t] = np.where(np.isfinite(filled[t]), filled[t], filled[t + 1])
     return filled

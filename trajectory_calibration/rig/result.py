@@ -12,6 +12,7 @@ import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -37,7 +38,8 @@ class SensorAnswer:
     base : name of the sensor whose frame its pose is in: the root of its tree.
     T_base_sensor : (4, 4), metres.
     covariance : (6, 6), order and side as in ``CalibrationResult``; zero of a root.
-    status : 'observed', 'weak' or 'unobserved' of x, y, z, rotation x, y, z.
+    status : 'observed', 'weak', 'unobserved', or 'prior' where only the prior knows, of x, y, z,
+        rotation x, y, z.
     scale, scale_std : metres of the base per metre of the sensor.
     clock : of the sensor.
     noise : of the sensor, or None where nothing tells.
@@ -96,7 +98,7 @@ class Contradiction:
     Attributes
     ----------
     sensor : its name.
-    kind : 'moved', 'clock', 'loops', 'vehicle', 'prior', 'motion' or 'time'.
+    kind : 'moved', 'clock', 'loops', 'vehicle', 'prior' or 'time'.
     text : what was found, and what to do.
     chi_squared, degrees, p_value : of the test, where there is one.
     left_out : whether the sensor is not part of the answer.
@@ -125,7 +127,7 @@ class RigResult:
     pairs : every pair that was tried.
     contradictions : sensors that do not fit, the worst first.
     chi_squared, degrees, p_value : of all loops.
-    findings : sentences that a person should read.
+    findings : what a person or a program should know, worst first.
     config : the settings.
     version : of the package.
 
@@ -140,7 +142,7 @@ class RigResult:
     chi_squared: float
     degrees: int
     p_value: float
-    findings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     config: RigConfig
     version: str = __version__
 
@@ -209,7 +211,7 @@ class RigResult:
             'p_value': self.p_value,
             'pairs': [_pair_to_dict(pair) for pair in self.pairs],
             'contradictions': [asdict(item) for item in self.contradictions],
-            'findings': list(self.findings),
+            'findings': [found.to_dict() for found in self.findings],
             'config': self.config.to_dict(),
         }
 
@@ -224,17 +226,14 @@ class RigResult:
             sensors = {str(name): _sensor_from_dict(str(name), item)
                        for name, item in data['sensors'].items()}
             free = tuple(map(str, data['covariance_of']))
-            covariance = np.array(data['covariance'], dtype=np.float64).reshape(
-                6 * len(free), 6 * len(free))
-            if not np.isfinite(covariance).all():
-                raise ValueError('the covariance has numbers that are not finite')
+            covariance = _finite(data['covariance'], (6 * len(free), 6 * len(free)))
             return cls(
                 base=str(data['base']), sensors=sensors, covariance=covariance, free=free,
                 pairs=tuple(_pair_from_dict(item) for item in data['pairs']),
                 contradictions=tuple(Contradiction(**item) for item in data['contradictions']),
                 chi_squared=float(data['chi_squared']),
                 degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
-                findings=tuple(map(str, data['findings'])),
+                findings=tuple(map(Finding.from_dict, data['findings'])),
                 config=RigConfig.from_dict(data['config']),
                 version=str(data['package_version']))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
@@ -268,6 +267,13 @@ def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
         for k, name in enumerate(COMPONENTS)}
 
 
+def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
+    array = np.array(values, dtype=np.float64).reshape(shape)
+    if not np.isfinite(array).all():
+        raise ValueError('a covariance has numbers that are not finite')
+    return array
+
+
 def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
     return {
         'frame': sensor.frame,
@@ -297,7 +303,7 @@ def _sensor_from_dict(name: str, data: Mapping[str, Any]) -> SensorAnswer:
         name=name, frame=str(data['frame']), base=str(data['base']),
         T_base_sensor=se3.from_rotation_translation(
             se3.quaternion_to_rotation(quaternion / norm), translation),
-        covariance=np.array(data['covariance'], dtype=np.float64).reshape(6, 6),
+        covariance=_finite(data['covariance'], (6, 6)),
         status={str(key): str(value) for key, value in data['status'].items()},
         scale=float(data['scale']), scale_std=float(data['scale_std']),
         clock=Clock(**data['clock']),

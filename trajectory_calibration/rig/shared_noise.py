@@ -98,7 +98,8 @@ def _add_level(
                 inner[np.ix_(mine, mine)] += left[:, None] @ right[None]
         added = (inner.reshape(-1, 36) @ products.T).reshape(
             len(seen), len(seen), UNKNOWNS, UNKNOWNS)
-        meat[np.ix_(seen, range(UNKNOWNS), seen, range(UNKNOWNS))] += added.transpose(0, 2, 1, 3)
+        all_ = np.arange(UNKNOWNS)
+        meat[np.ix_(seen, all_, seen, all_)] += added.transpose(0, 2, 1, 3)
 
 
 def carried_to_stated(M: FloatArray, stated: FloatArray) -> FloatArray:

@@ -162,7 +162,7 @@ def _stated(result: CalibrationResult) -> FloatArray:
 def _in_base_metres(
     raw: FloatArray, stated: FloatArray, scales: FloatArray, ends: Sequence[tuple[int, int]],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return answers, which are in metres of their parents, and covariances in those of the base."""
+    """Return answers and covariances, which are in metres of the parents, in those of the base."""
     answers, P = raw.copy(), stated.copy()
     for p, (i, _) in enumerate(ends):
         answers[p, :3, 3] *= scales[i]

@@ -9,7 +9,6 @@ import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import hills, Unicycle, Wander
@@ -74,7 +73,8 @@ def simulate_rig(scenario: RigScenario, seed: int) -> SimulatedRig:
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     other = scenario.motion.draw(scenario.duration, np.random.default_rng(for_faults.spawn(1)[0]))
     frames, faults = np.random.default_rng(for_frames), np.random.default_rng(for_faults)
-    trajectories, truth = {}, {}
+    trajectories: dict[str, Trajectory] = {}
+    truth: dict[str, FloatArray] = {}
     for (name, sensor), noise_seed in zip(
             scenario.sensors.items(), for_sensors.spawn(len(scenario.sensors)), strict=True):
         T_base_sensor = random_pose(frames) if truth else np.eye(4)
