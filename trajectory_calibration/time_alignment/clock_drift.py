@@ -162,10 +162,10 @@ def _regress(
     quarters = slope[:, :, None] * _quarters(turning)[:, None, :]
     J_quarters = np.concatenate([quarters, J[:, :, -3:]], axis=2)
     beside = weights[:, None, None] * J_quarters
-    rest = rest - J_quarters @ (
-        np.linalg.pinv(np.einsum('kij,kil->jl', beside, J_quarters), rcond=ROUNDING,
-                       hermitian=True) @ np.einsum('kij,ki->j', beside, rest))
-    scores = np.einsum('kij,ki->kj', weighted, rest) @ inverse
+    normal = np.einsum('kij,kil->jl', beside, J_quarters)
+    fitted = np.linalg.pinv(normal, rcond=ROUNDING, hermitian=True) @ np.einsum(
+        'kij,ki->j', beside, rest)
+    scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ fitted) @ inverse
     n = basis.shape[1]
     squares = np.diag(white)[:n]
     # Quarters of the time are themselves what the blocks are compared within.
