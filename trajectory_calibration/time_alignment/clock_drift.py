@@ -177,8 +177,7 @@ def _regress(
 def _place(turning: Turning) -> FloatArray:
     """Return (K,) where each window lies in the common time, from -1 to 1."""
     since_middle = (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns)
-    place: FloatArray = 1e-9 * since_middle / turning.duration_s
-    return place
+    return since_middle.astype(np.float64) * (1e-9 / turning.duration_s)
 
 
 def _quarters(turning: Turning) -> FloatArray:
