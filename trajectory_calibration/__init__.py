@@ -21,7 +21,6 @@ from trajectory_calibration.errors import (
 )
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.rig.calibration import calibrate_rig
 from trajectory_calibration.version import __version__
 
 __all__ = [
@@ -41,5 +40,4 @@ __all__ = [
     'TrajectoryError',
     '__version__',
     'calibrate',
-    'calibrate_rig',
 ]

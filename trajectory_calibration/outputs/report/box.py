@@ -14,6 +14,8 @@ MARKS = {'ok': '●', 'weak': '◐', 'unknown': '○', 'prior': '◆'}
 # Decades of the gauge below and above the limit of 'weak'.
 _BELOW, _ABOVE = 2.0, 1.5
 _GAUGE = 120
+# Errors beyond this many standard deviations contradict the deviations, or the truth.
+FAR = 3.0
 
 
 def verdict_box(
@@ -39,16 +41,25 @@ def verdict_box(
         f'<section class="verdict {verdict.level}"><div class="head">'
         f'<h1>{a} <span class="arrow">→</span> {b}</h1>'
         f'<p class="badge">{escape(verdict.title)}</p></div>'
-        f'<p class="sentence">{escape(verdict.opening)}.</p>'
+        f'<p class="sentence">{escape(verdict.opening)}.{_against_truth(rows)}</p>'
         f'<div class="answer"><div><div class="scroll"><table class="answer-table{with_truth}">'
         f'<caption>Pose of {b} in {a}: <code>p<sub>{a}</sub> = T p<sub>{b}</sub></code></caption>'
         '<thead><tr>'
         '<th scope="col"></th><th scope="col" class="num">value</th>'
-        '<th scope="col" class="num">± 1 σ</th><th scope="col"></th>'
+        '<th scope="col" class="num">± 1 σ</th><th scope="col" class="of-unit"></th>'
         '<th scope="col" class="of-gauge">deviation</th>'
         f'<th scope="col">status</th>{error}</tr></thead>'
         f'<tbody>{body}</tbody></table></div>{limits}</div>{_facts(result, driven)}</div>'
         f'<p class="next"><b>Next</b> {escape(verdict.next_step)}</p>{copies}</section>')
+
+
+def _against_truth(rows: tuple[Row, ...]) -> str:
+    far = [row.name for row in rows if row.is_known and row.error is not None and row.std
+           and abs(row.error) > FAR * row.std]
+    if not far:
+        return ''
+    return (f' <span class="unknown">Error beyond {FAR:g} σ in {", ".join(far)}: is the ground '
+            'truth of these frames?</span>')
 
 
 def _facts(result: CalibrationResult, driven: str) -> str:
@@ -99,8 +110,11 @@ def _error_cells(row: Row) -> str:
     if row.error is None or not row.is_known:
         return '<td class="num">–</td><td class="num">–</td>'
     error = f'{row.error:+.{digits_of(row.std, row.unit)}f}'
-    sigma = '' if not row.std else f'{abs(row.error) / row.std:.1f}'
-    return f'<td class="num">{error}</td><td class="num">{sigma}</td>'
+    if not row.std:
+        return f'<td class="num">{error}</td><td class="num"></td>'
+    sigma = abs(row.error) / row.std
+    style = 'num unknown' if sigma > FAR else 'num'
+    return f'<td class="num">{error}</td><td class="{style}">{sigma:.1f}</td>'
 
 
 def gauge(row: Row) -> str:

@@ -25,11 +25,12 @@ def copies(result: CalibrationResult) -> str:
         except CalibrationError:
             # Two frames of one name have no place in a tree.
             continue
+        words = EXPORTS[name].sentence
         tabs.append(
             f'<input type="radio" name="format" id="f-{name}"{" checked" if k == 0 else ""}>'
             f'<label for="f-{name}">{title}</label>')
         panels.append(
-            f'<div class="panel" id="p-{name}"><p>{escape(EXPORTS[name].sentence)}.</p>'
+            f'<div class="panel" id="p-{name}"><p>{escape(words[:1].upper() + words[1:])}.</p>'
             f'<pre class="forward">{escape(texts[0])}</pre>'
             f'<pre class="inverse">{escape(texts[1])}</pre></div>')
     if not panels:

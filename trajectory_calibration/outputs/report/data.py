@@ -31,7 +31,7 @@ from trajectory_calibration.outputs.report.tracks import (
 from trajectory_calibration.result import CalibrationResult
 
 # Residuals that are looked at, and those of one time scale.
-_RESIDUALS, _OF_A_SCALE, _LEAST_OF_A_SCALE = 4000, 600, 20
+_RESIDUALS, _OF_A_SCALE, _LEAST_OF_A_SCALE = 4000, 600, 6
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # Parts of the path whose scale is compared.
 _SCALE_PARTS = 8
@@ -135,7 +135,9 @@ def _residuals(tracks: Tracks, result: CalibrationResult) -> Residuals:
         if lag >= len(tracks) or lag in [lag_of(tracks, other) for other in scales]:
             continue
         first, last = lagged(tracks, lag, _OF_A_SCALE)
-        if len(first) < _LEAST_OF_A_SCALE:
+        stride = int(np.median(np.diff(first))) if len(first) > 1 else 1
+        # Motions that overlap count once.
+        if len(first) * min(1.0, stride / lag) < _LEAST_OF_A_SCALE:
             continue
         error, likely = _of_motions(tracks, result.T_a_b, first, last)
         size = np.stack([np.linalg.norm(error[:, part], axis=1)

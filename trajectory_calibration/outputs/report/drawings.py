@@ -67,15 +67,14 @@ def rotation_by_axis(data: ReportData) -> str:
     high = max(float(values.max()) * 1.7, 10 * low)
     plot = Plot((-0.6, 2.6), (low, high), name='rotation by axis', log_y=True,
                 y_label='deg per motion, rms', x_ticks=[
-                    (k, f'about {name}') for k, name in enumerate('xyz')])
+                    (k, f'about {name}: {value:.3g}')
+                    for k, (name, value) in enumerate(zip('xyz', found, strict=True))])
     for k, value in enumerate(found):
         style = 'fill-a' if need is None or value >= need else 'fill-weak'
         plot.rectangle((k - 0.28, k + 0.28), (low, max(value, low)), style, f'{value:.3g} deg')
-        plot.write(k, min(value * 1.12, high), f'{value:.3g}', 'middle')
     if need is not None and low < need < high:
-        # At the end where the bar is farther away.
-        left, right = (abs(np.log(max(value, low) / need)) for value in (found[0], found[2]))
-        plot.horizontal(need, 'need', f'need {need:.2g}', at_left=bool(left > right))
+        # At the end where the bar is lower.
+        plot.horizontal(need, 'need', f'need {need:.2g}', at_left=bool(found[0] <= found[2]))
     return plot.svg()
 
 

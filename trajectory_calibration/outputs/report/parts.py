@@ -27,7 +27,11 @@ TIME_SCALES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 QUARTERS = 4
 
 # Motions of one time scale that are looked at, and least that say something.
-_MOTIONS, _LEAST_MOTIONS = 1500, 12
+_MOTIONS, _LEAST_MOTIONS, _LEAST_INDEPENDENT = 1500, 12, 6
+# Of Student's distribution: how much wider the spread of few motions is.
+_SMALL_SAMPLE = 4.0
+# A motion of a time scale takes at most so many times as long.
+_LONGEST = 2.0
 # A time scale must fit so many times into the drive.
 _LEAST_REPEATS = 6
 # Scores beyond this many usual ones are those of jumps that nobody named.
@@ -94,8 +98,10 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
         return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
     solved = [_solve(scores, held) for _, scores in by_scale]
     std = np.array([deviation for _, deviation in solved])
+    if np.isnan(std).all():
+        return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
     # Where the time scale is short, white noise is all; where it is long, few are independent.
-    best = by_scale[int(np.argmin(np.sum(np.log(std), axis=1)))][1]
+    best = by_scale[int(np.nanargmin(np.sum(np.log(std), axis=1)))][1]
     edges = np.linspace(0, len(tracks), QUARTERS + 1)
     quarters = [_solve(best.picked((best.start >= low) & (best.start < high)), held)
                 for low, high in itertools.pairwise(edges)]
@@ -116,13 +122,18 @@ def lag_of(tracks: Tracks, seconds: float) -> int:
 def lagged(
     tracks: Tracks, lag: int, count: int,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap."""
+    """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap.
+
+    They last about as long as ``lag`` usual steps.
+    """
     bad = np.zeros(len(tracks), dtype=np.intp)
     broken = ~tracks.usable
     broken[tracks.gaps] = True
     bad[1:] = np.cumsum(broken)
     i = np.arange(len(tracks) - lag)
-    i = i[bad[i] == bad[i + lag]]
+    took = tracks.seconds[lag:] - tracks.seconds[:-lag]
+    usual = lag * float(np.median(np.diff(tracks.seconds)))
+    i = i[(bad[i] == bad[i + lag]) & (took <= _LONGEST * usual)]
     i = i[::max(1, -(-len(i) // count))]
     return i, i + lag
 
@@ -170,12 +181,16 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
 
 def _solve(scores: _Scores, held: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (6,) step from the answer and its standard deviations, metres and radians."""
-    if len(scores.start) < _LEAST_MOTIONS:
+    # Motions that overlap count once.
+    independent = len(scores.start) / scores.overlap
+    if len(scores.start) < _LEAST_MOTIONS or independent < _LEAST_INDEPENDENT:
         return np.full(6, np.nan), np.full(6, np.nan)
     inverse = _bounded_inverse(scores.information.sum(axis=0), held)
     step = inverse @ scores.score.sum(axis=0)
     left = scores.score - scores.information @ step
     spread = _long_run(left, min(2 * scores.overlap, len(left) // 3))
+    # A spread from so few is itself uncertain.
+    spread *= 1 + _SMALL_SAMPLE / independent
     covariance = inverse @ (spread + np.diag(UNKNOWN**-2.0)) @ inverse
     return step, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 

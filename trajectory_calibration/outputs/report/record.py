@@ -117,8 +117,8 @@ def _settings(config: CalibrationConfig) -> str:
         row = (option.name, _shown(value), _shown(option.default))
         (usual if value == option.default else changed).append(row)
     head = ('setting', 'value', 'default')
-    first = table(head, changed) if changed else '<p>All settings at their defaults.</p>'
-    return (f'{first}<details><summary>All other settings</summary>'
+    first = table(head, changed) if changed else '<p>Defaults.</p>'
+    return (f'{first}<details><summary>{"All other" if changed else "All"} settings</summary>'
             f'{table(head[:2], [row[:2] for row in usual])}</details>')
 
 

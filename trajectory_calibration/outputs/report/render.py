@@ -20,7 +20,7 @@ from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.page import page, style
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
-from trajectory_calibration.outputs.report.text import figure, legend, section
+from trajectory_calibration.outputs.report.text import figure, legend, metres, section
 from trajectory_calibration.outputs.report.view3d import single_track
 from trajectory_calibration.outputs.verdict import judge
 from trajectory_calibration.result import CalibrationResult
@@ -87,7 +87,8 @@ def render_failure(
                       for name, trajectory in zip('ab', trajectories, strict=False))
     if len(trajectories) == 2:
         figures += _together(*trajectories)
-    body = section(1, 'What was found of the inputs', figures) if figures else ''
+    body = section(
+        1, 'What was found of the inputs', figures, columns=2) if figures else ''
     findings = finding_list(
         found for trajectory in trajectories for found in trajectory.findings)
     last = section(2, 'Record', record_cards(
@@ -113,11 +114,11 @@ def finding_list(findings: Iterable[Finding]) -> str:
 
 
 def _input_figure(name: str, trajectory: Trajectory) -> str:
-    length = float(np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)))
+    length = metres(float(np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1))))
     turned = float(np.rad2deg(np.sum(np.linalg.norm(trajectory.turns, axis=1))))
     reading = (f'{len(trajectory):,} poses over {trajectory.duration_s:.1f} s '
-               f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length:.3g} m, turned '
-               f'{turned:.3g} deg in all.')
+               f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length}, turned '
+               f'{turned:,.0f} deg in all.')
     return figure(f'Track of {name}: {trajectory.sensor_frame}',
                   single_track(trajectory.positions, f'line-{name}'), reading,
                   'the path that was driven, with curves', 'a straight line, a cloud or a point')
@@ -130,9 +131,15 @@ def _together(a: Trajectory, b: Trajectory) -> str:
         'Times with poses', draw.gap_strip(clocks),
         f'The first pose of b is {apart:+.3f} s from that of a.',
         'two full bars of equal length', 'bars that do not overlap: wrong clock or other drives')
+    reading = 'Both sensors of one vehicle turn by the same angle at the same time.'
+    if a.stamps_ns[-1] <= b.stamps_ns[0] or b.stamps_ns[-1] <= a.stamps_ns[0]:
+        # Nothing in common: from the first pose of each, which shows whether it was one drive.
+        clocks = compare_clocks(a, Trajectory(
+            b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0], b.poses, b.world_frame,
+            b.sensor_frame))
+        reading += ' Drawn from the first pose of each, because they have no time in common.'
     curves = figure(
-        'Angular rates as recorded', draw.rates(clocks), 'Both sensors of one vehicle turn by '
-        'the same angle at the same time.',
+        'Angular rates as recorded', draw.rates(clocks), reading,
         'curves of one shape, perhaps shifted', 'other shapes: other vehicles, topics or drives',
         legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))
     return strip + curves

@@ -8,7 +8,7 @@ from trajectory_calibration.assessment.observability import UNOBSERVED
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
 from trajectory_calibration.outputs.report.sensors import sensor_view
-from trajectory_calibration.outputs.report.text import figure, legend, section
+from trajectory_calibration.outputs.report.text import figure, legend, metres, section
 from trajectory_calibration.outputs.report.view3d import track_view
 from trajectory_calibration.outputs.screen import reference_words
 
@@ -25,25 +25,17 @@ def sections(data: ReportData) -> str:
         _tracks(data), _motion(data), _parts(data), _residuals(data), _clocks(data)))
 
 
-def _metres(value: float) -> str:
-    if value >= 1000:
-        return f'{1e-3 * value:.3g} km'
-    if value >= 1:
-        return f'{value:.3g} m'
-    return f'{1e3 * value:.3g} mm' if value < 0.01 else f'{value:.2g} m'
-
-
 def _tracks(data: ReportData) -> str:
     tracks, result = data.tracks, data.result
     usual, largest = (float(np.quantile(tracks.distance_m, q)) for q in (0.5, 1.0))
     path = float(tracks.path_m[-1])
-    share = f' ({100 * largest / path:.2g} % of {_metres(path)} driven)' if path > 0 else ''
+    share = f' ({100 * largest / path:.2g} % of {metres(path)} driven)' if path > 0 else ''
     a, b = result.frame_a, result.frame_b
     key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', 'jump'),
                  ('gap', 'gap'))
     jumps = (f'{len(tracks.jumps)} jumps were excluded'
              if len(tracks.jumps) else 'no jump was found')
-    reading = (f'The tracks are {_metres(usual)} apart in the median and {_metres(largest)} at '
+    reading = (f'The tracks are {metres(usual)} apart in the median and {metres(largest)} at '
                f'most{share}; {jumps}.')
     angle = float(np.quantile(tracks.angle_deg, 0.5))
     figures = (
@@ -52,11 +44,11 @@ def _tracks(data: ReportData) -> str:
                'another shape, a mirrored curve or another size: wrong pairing, frame or unit',
                wide=True, legend=key)
         + figure('Distance between a and b carried over', draw.distance_over_time(data),
-                 f'Median {_metres(usual)}, largest {_metres(largest)}.',
+                 f'Median {metres(usual)}, largest {metres(largest)}.',
                  'small, smooth, growing slowly with the distance',
                  'steps (jumps) or a wave in step with each turn (wrong lever arm)')
         + figure('Distance over the path', draw.distance_over_path(data),
-                 f'{_metres(float(tracks.path_m[-1]))} driven in '
+                 f'{metres(float(tracks.path_m[-1]))} driven in '
                  f'{float(tracks.seconds[-1]):.0f} s.',
                  'growing slowly: ordinary drift', 'at once, where one SLAM lost its way')
         + figure('Difference of orientation', draw.angle_over_time(data),
@@ -228,4 +220,4 @@ def _clocks(data: ReportData) -> str:
             'Scale over the drive', draw.scale_over_path(data.scale),
             f'Scale of b {result.scale:.6g}; it varies by {100 * spread:.2g} % over the drive.',
             'level within the error bars', 'a slope or steps: scale drift of a monocular SLAM')
-    return section(5, 'Clock and scale', figures)
+    return section(5, 'Clock and scale', figures, columns=2)

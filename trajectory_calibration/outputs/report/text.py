@@ -5,6 +5,15 @@ from __future__ import annotations
 from html import escape
 
 
+def metres(value: float) -> str:
+    """Return a length for a person: '1.72 m', '3.1 km', '4 mm'."""
+    if value >= 1000:
+        return f'{1e-3 * value:.3g} km'
+    if value >= 1:
+        return f'{value:.3g} m'
+    return f'{1e3 * value:.3g} mm' if value < 0.01 else f'{value:.2g} m'
+
+
 def figure(title: str, picture: str, reading: str, good: str, bad: str, *, wide: bool = False,
            legend: str = '') -> str:
     """Return a figure with what it says here, and what good and bad look like."""
@@ -23,11 +32,13 @@ def legend(*items: tuple[str, str]) -> str:
     return f'<p class="legend">{inside}</p>'
 
 
-def section(number_: int, title: str, inside: str, lead: str = '') -> str:
+def section(
+    number_: int, title: str, inside: str, lead: str = '', *, columns: int = 3,
+) -> str:
     """Return a numbered section of the page."""
     words = f'<p class="lead">{escape(lead)}</p>' if lead else ''
     return (f'<section id="s{number_}"><h2><span>{number_}</span>{escape(title)}</h2>{words}'
-            f'<div class="grid">{inside}</div></section>')
+            f'<div class="grid of{columns}">{inside}</div></section>')
 
 
 def table(head: tuple[str, ...], rows: list[tuple[str, ...]], style: str = '') -> str:

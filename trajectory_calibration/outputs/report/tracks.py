@@ -78,8 +78,6 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     jumps = _jumps(result.diagnosis, pairs, poses_c)
     usable = np.ones(len(pairs) - 1, dtype=bool)
     usable[jumps - 1] = False
-    step = np.diff(pairs.stamps_ns)
-    limit = max(longest_step_ns(a), longest_step_ns(b))
     apart = np.swapaxes(pairs.poses_a[:, :3, :3], 1, 2) @ poses_c[:, :3, :3]
     length = np.linalg.norm(np.diff(pairs.poses_a[:, :3, 3], axis=0), axis=1)
     return Tracks(
@@ -89,7 +87,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
         distance_m=np.linalg.norm(pairs.poses_a[:, :3, 3] - poses_c[:, :3, 3], axis=1),
         angle_deg=np.rad2deg(se3.rotation_angle(apart)),
         jumps=jumps,
-        gaps=np.flatnonzero(step > limit),
+        gaps=_gaps(pairs, a, corrected_b(result, b)),
         noise=identify_noise(pairs.stamps_ns, pairs.poses_a, poses_c, usable))
 
 
@@ -115,6 +113,17 @@ def motion_covariance(
 def distances(tracks: Tracks) -> FloatArray:
     """Return (K,) the distance that drift is counted in."""
     return np.concatenate([[0.0], np.cumsum(step_lengths(tracks.pairs.poses_a))])
+
+
+def _gaps(pairs: PosePairs, a: Trajectory, b: Trajectory) -> NDArray[np.intp]:
+    """Return the indices of the pairs after which one of the sensors has a gap."""
+    found = [np.zeros(0, dtype=np.intp)]
+    for trajectory in (a, b):
+        long = np.flatnonzero(np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory))
+        middle = trajectory.stamps_ns[long] + np.diff(trajectory.stamps_ns)[long] // 2
+        inside = middle[(middle > pairs.stamps_ns[0]) & (middle < pairs.stamps_ns[-1])]
+        found.append(np.searchsorted(pairs.stamps_ns, inside) - 1)
+    return np.unique(np.concatenate(found))
 
 
 def _without_drift(poses_b: FloatArray, diagnosis: dict[str, Any] | None) -> FloatArray:
