@@ -1,10 +1,17 @@
-"""What several test modules need: the published data, and isolation of ROS."""
+"""What several test modules need: the published data, and examples that may take their time."""
 
 from pathlib import Path
 
+from hypothesis import HealthCheck, settings
 import pytest
 
 _DATA = Path(__file__).resolve().parents[1].parent / 'shared' / 'data'
+
+# A busy machine is no failure: how long an example takes is not what these tests are about.
+settings.register_profile(
+    'unhurried', deadline=None,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+settings.load_profile('unhurried')
 
 
 @pytest.fixture(scope='session')

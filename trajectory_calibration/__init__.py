@@ -21,6 +21,7 @@ from trajectory_calibration.errors import (
 )
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.calibration import calibrate_rig
 from trajectory_calibration.version import __version__
 
 __all__ = [
@@ -40,4 +41,5 @@ __all__ = [
     'TrajectoryError',
     '__version__',
     'calibrate',
+    'calibrate_rig',
 ]

@@ -82,9 +82,7 @@ def calibrate(
             require_agreement(None, *agreed)
             raise
         require_agreement(solution.T_a_b, *agreed)
-        uncertainty = estimate_uncertainty(solution, motions)
-        if choice.known is not None:
-            uncertainty = choice.known.uncertainty_of(solution.T_a_b, uncertainty)
+        uncertainty = estimate_uncertainty(solution, motions, config, choice.known)
         T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
         metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
         observability = observe(
@@ -121,7 +119,7 @@ def calibrate(
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.findings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
-            *uncertainty.findings(trajectory_a.sensor_frame, trajectory_b.sensor_frame),
+            *uncertainty.findings,
             *observability.findings,
         )),
     )

@@ -8,6 +8,7 @@ from trajectory_calibration import calibrate, CalibrationConfig, SolverError
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.variogram import identify_noise
 from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import (
     flat,
@@ -84,9 +85,8 @@ def test_intervals_cover_the_truth(solver, reference, case):
         error = error_of(solution.T_a_b, truth)
         nees.append(error @ np.linalg.solve(covariance, error) / 6)
         inside.append(np.abs(error) < 1.96 * np.sqrt(np.diagonal(covariance)))
-    # Under a constant drift a joint solver is biased: its possible error is the bias itself.
-    biased = case == 'offroad' and solver == 'dnl'
-    assert 0.5 < np.mean(nees) < (3.0 if biased else 1.6)
+    # Below one: an inefficient solver's distance from the most likely answer counts in full.
+    assert 0.2 < np.mean(nees) < 1.6
     assert np.mean(inside) > 0.88
 
 
@@ -109,7 +109,7 @@ def test_more_overlap_is_not_more_data():
     fewer = load_solver('dnl')(half, CalibrationConfig())
     ratio = np.sqrt(np.diagonal(estimate_uncertainty(fewer, half).covariance)
                     / np.diagonal(estimate_uncertainty(every, motions).covariance))
-    assert (ratio < 1.2).all()
+    assert (ratio < 1.4).all()
     assert (ratio > 0.8).all()
 
 
@@ -127,17 +127,16 @@ def test_noise_does_not_pass_for_excitation(solver):
         assert solver == 'park' or np.sqrt(found.covariance[0, 0]) < 0.5
 
 
-def test_a_constant_drift_is_found_and_counted():
+def test_what_a_solver_cannot_correct_is_counted_and_said():
     scenario = with_noise(SCENARIOS['offroad'], Noise(white=0.002, white_rotation=0.0005),
-                          Noise(white=0.002, white_rotation=0.0005, drift=0.01))
+                          Noise(white=0.002, white_rotation=0.0005, drift=0.03))
     motions, truth = motions_of(scenario, 4)
     solution = load_solver('dnl')(motions, CalibrationConfig())
-    found = estimate_uncertainty(solution, motions)
-    # What b has too much of: its own z, for this seed.
-    np.testing.assert_allclose(truth[:3, :3].T @ found.drift, [0.0, 0.0, 0.01], atol=0.001)
-    (warning,) = found.findings('lidar', 'camera')
-    x, y, z = (f'{100 * value:.2g}' for value in found.drift)
-    assert f'camera drifts against lidar by ({x}, {y}, {z}) % of the distance' in warning.text
+    found = estimate_uncertainty(solution, motions, CalibrationConfig(solver='dnl'))
+    (finding,) = found.findings
+    assert finding.code == 'uncorrected'
+    assert 'a steady drift' in finding.text
+    assert 'dnl cannot correct' in finding.text
     error = error_of(solution.T_a_b, truth)
     assert (np.abs(error) < 3 * np.sqrt(np.diagonal(found.covariance))).all()
 
@@ -158,6 +157,18 @@ def test_noise_is_identified():
     assert found.white_rotation == pytest.approx(0.002, rel=0.1)
     assert found.walk_translation == pytest.approx(0.02, rel=0.3)
     assert found.walk_rotation == pytest.approx(0.004, rel=0.2)
+
+
+@pytest.mark.parametrize('solver', ['dnl', 'park', 'zhuang'])
+def test_too_few_poses_for_the_noise_leave_the_residuals(solver):
+    run = simulate(SCENARIOS['noise'], 1)
+    pairs = associate(run.a, run.b)
+    few = PosePairs(pairs.stamps_ns[:8], pairs.poses_a[:8], pairs.poses_b[:8], pairs.summary)
+    motions = select_motions(few, 'B1')
+    solution = load_solver(solver)(motions, CalibrationConfig())
+    covariance = estimate_uncertainty(solution, motions).covariance
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9
+    assert 1e-3 < np.sqrt(covariance.diagonal()).max() < 20
 
 
 @pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'ali', 'park', 'taylor', 'zhuang'])

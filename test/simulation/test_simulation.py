@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 
+from motion_data import random_pose
 import numpy as np
 import pytest
 
@@ -385,3 +386,12 @@ def test_the_largest_noise_is_still_a_trajectory(noise):
 def test_nonsense_is_refused(make):
     with pytest.raises(ConfigError, match='needed'):
         make()
+
+
+def test_a_mounting_that_is_given_changes_nothing_else():
+    T = random_pose(np.random.default_rng(5))
+    drawn, given = simulate(SCENARIOS['drone'], 3), simulate(SCENARIOS['drone'], 3, T)
+    np.testing.assert_array_equal(given.T_a_b, T)
+    np.testing.assert_array_equal(given.a.poses, drawn.a.poses)
+    np.testing.assert_array_equal(given.b.stamps_ns, drawn.b.stamps_ns)
+    assert not np.allclose(given.b.poses, drawn.b.poses)

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.data.motion_pairs import (
     lag_grid,
@@ -26,7 +27,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.solution import Linearise, UNKNOWN
+from trajectory_calibration.solvers.solution import Equations, Linearise, UNKNOWN
 
 # Motions that are linearised at once.
 CHUNK = 2048
@@ -125,12 +126,6 @@ def scaled_to_unknown(directions: FloatArray) -> FloatArray:
     return scaled
 
 
-def opens_rotation(directions: FloatArray) -> bool:
-    """Return whether a rotation is open in the span of (K, 6) directions, scaled as above."""
-    share = np.linalg.norm(directions[:, 3:] / UNKNOWN[3:], axis=0)
-    return bool((share > _SUSPECT_SHARE).any())
-
-
 def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     """Split the directions by the motion itself, for solvers that use no relative motions.
 
@@ -139,7 +134,7 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     poses_c = T_a_b @ pairs.poses_b @ se3.inverse(T_a_b)
     found = []
     for lag in lag_grid(pairs.stamps_ns, _LAGS):
-        motions = _plausible(T_a_b, thinned(select_motions(pairs, f'B{lag}'), _MOTIONS))
+        motions = _plausible(T_a_b, thinned_to(select_motions(pairs, f'B{lag}'), _MOTIONS))
         shared, own = np.zeros((6, 6)), np.zeros((6, 6))
         for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):
             shared += linear.gram(of_a, of_b)
@@ -161,39 +156,51 @@ def _plausible(T_a_b: FloatArray, motions: MotionPairs) -> MotionPairs:
     return motions.picked(parted <= _GLITCH * float(np.median(parted)) + _UNSEEN * reach)
 
 
-def thinning(length: int, count: int) -> slice:
-    """Return what picks every n-th of ``length`` items, at most ``count``."""
-    return slice(None, None, max(1, -(-length // count)))
+def split_equations(
+    T_a_b: FloatArray, motions: MotionPairs, linearise: Linearise,
+    inliers: NDArray[np.bool_] | None = None,
+) -> Excited:
+    """Split the directions by the equations of a solver and the motions it kept."""
+    if inliers is not None:
+        motions = motions.picked(inliers)
+    motions = thinned_to(motions, _MOTIONS)
+    poses_c = T_a_b @ motions.pairs.poses_b @ se3.inverse(T_a_b)
+    shared, own, cross = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
+    for of_a, of_b in _both(T_a_b, motions, poses_c, linearise):
+        Z_a, Z_b = of_a.instrument, of_b.instrument
+        shared += linear.gram(Z_a, Z_b)
+        own += 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
+        cross += 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
+    excited = split(
+        0.5 * (shared + shared.T), own, _instruments(T_a_b, motions, poses_c, linearise),
+        block_length(motions))
+    # What is found after a direction that is open goes wrong with it.
+    basis, open_ = excited.basis, excited.unobserved
+    inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
+    return Excited(basis, scaled_to_unknown(open_ - open_ @ (inverse @ cross).T))
 
 
-def thinned(motions: MotionPairs, count: int) -> MotionPairs:
+def thinned_to(motions: MotionPairs, count: int) -> MotionPairs:
     """Return every n-th motion, at most ``count``."""
-    return motions.picked(thinning(len(motions), count))
+    return motions.picked(slice(None, None, max(1, -(-len(motions) // count))))
+
+
+def _both(
+    T_a_b: FloatArray, motions: MotionPairs, poses_c: FloatArray, linearise: Linearise,
+) -> Iterator[tuple[Equations, Equations]]:
+    """Yield the equations at motions that both sensors report as a does, and as b does."""
+    for start in range(0, len(motions), CHUNK):
+        part = slice(start, start + CHUNK)
+        A = motions.A[part]
+        C = se3.inverse(poses_c[motions.i[part]]) @ poses_c[motions.j[part]]
+        yield linearise(T_a_b, A, A), linearise(T_a_b, C, C)
 
 
 def _instruments(
     T_a_b: FloatArray, motions: MotionPairs, poses_c: FloatArray, linearise: Linearise,
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    for start in range(0, len(motions), CHUNK):
-        part = slice(start, start + CHUNK)
-        A = motions.A[part]
-        C = se3.inverse(poses_c[motions.i[part]]) @ poses_c[motions.j[part]]
-        yield linearise(T_a_b, A, A).instrument, linearise(T_a_b, C, C).instrument
-
-
-def weighted_instruments(
-    T_a_b: FloatArray,
-    motions: MotionPairs,
-    weights: FloatArray,
-    poses_c: FloatArray,
-    linearise: Linearise,
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield what a saw and what b saw of each motion, times the root of its (M,) weight."""
-    start = 0
-    for of_a, of_b in _instruments(T_a_b, motions, poses_c, linearise):
-        root = np.sqrt(weights[start:start + len(of_a)])[:, None, None]
-        yield root * of_a, root * of_b
-        start += len(of_a)
+    for of_a, of_b in _both(T_a_b, motions, poses_c, linearise):
+        yield of_a.instrument, of_b.instrument
 
 
 def _excitation_by_noise(

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import thinned
+from trajectory_calibration.assessment.excitation import thinned_to
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
@@ -138,7 +138,7 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
 def _turns(pairs: PosePairs) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield (K, 3) turns of a and of b over each lag that has enough large ones."""
     for lag in lag_grid(pairs.stamps_ns, _LAGS):
-        motions = thinned(select_motions(pairs, f'B{lag}'), _MOTIONS)
+        motions = thinned_to(select_motions(pairs, f'B{lag}'), _MOTIONS)
         turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
         size = _size(turn_a, turn_b)
         large = (size > _LEAST_TURN) & (size < _LARGEST_TURN)

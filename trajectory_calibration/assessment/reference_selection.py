@@ -1,31 +1,20 @@
 """Which reference to take: short motions drown in white noise, long ones in drift and jumps.
 
-The errors of the relative motions do not tell which reference gives the better extrinsic. The
-noise does. ``drift_aware`` identifies it and gives, with it, all that the data say of the
-extrinsic: a mean ``x`` and a covariance ``P``. Reporting another answer ``x_n`` then costs, by
-what is known,
-
-    E |x_n - truth|^2 = |x_n - x|^2 + tr P,
-
-which is what a solver's answer at each reference is judged by, with rotations counted by what
-they move a point one metre away: the smallest expected error wins. ``P + (x_n - x)(x_n - x)^T``
-is also how far the answer may be from the truth. Against a covariance predicted from the noise
-alone it counts what the noise happened to be in these data, and errors that no solver's equations
-know of, as jumps, a scale, a steady drift.
-
-J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
-expected loss).
+The errors of the relative motions do not tell which reference gives the better extrinsic. What the
+data say of the extrinsic as a whole does (``covariance.MostLikely``): each reference's answer has
+an expected squared error, ``|x_n - x|^2 + tr P``, with rotations counted by what they move a point
+one metre away. The smallest wins.
 """
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.covariance import estimate_uncertainty, Uncertainty
-from trajectory_calibration.assessment.excitation import thinned
+from trajectory_calibration.assessment.covariance import most_likely, MostLikely
+from trajectory_calibration.assessment.excitation import thinned_to
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import (
     AUTOMATIC,
@@ -37,7 +26,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers import load_solver, noise_identifier, solver_info
+from trajectory_calibration.solvers import load_solver, solver_info
 
 # A rotation counts by what it moves at this distance, metres.
 _DISTANCE = 1.0
@@ -61,40 +50,6 @@ _SMALLEST = 1e-4
 _NAMED = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What the data say of the extrinsic, by ``drift_aware``.
-
-    Attributes
-    ----------
-    T_a_b : (4, 4), the mean.
-    covariance : (6, 6), of the mean.
-    directions : (K, 6), what turns a step (dt, dtheta) into metres along the directions that the
-        motion showed; ``_DISTANCE`` counts.
-    variance : of the mean along all of them together, m^2.
-
-    """
-
-    T_a_b: FloatArray
-    covariance: FloatArray
-    directions: FloatArray
-    variance: float
-
-    def expected_error(self, T_a_b: FloatArray) -> float:
-        """Return the root of the expected squared error of a (4, 4) answer, metres."""
-        step = se3.step_between(self.T_a_b, T_a_b)
-        return float(np.sqrt(np.sum((self.directions @ step)**2) + self.variance))
-
-    def uncertainty_of(self, T_a_b: FloatArray, own: Uncertainty) -> Uncertainty:
-        """Return how far a (4, 4) answer may be from the truth.
-
-        ``own`` is what the equations of its solver say, for directions that those leave open.
-        """
-        step = se3.step_between(self.T_a_b, T_a_b)
-        return replace(own, covariance=(
-            self.covariance + np.outer(step, step) + own.unobserved.T @ own.unobserved))
-
-
 @dataclass(frozen=True)
 class ReferenceChoice:
     """A reference, and why.
@@ -109,7 +64,7 @@ class ReferenceChoice:
 
     reference: str
     explanation: str = ''
-    known: Known | None = None
+    known: MostLikely | None = None
 
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
@@ -126,20 +81,22 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     if not needed:
         return ReferenceChoice(usual)
     try:
-        known = _known(pairs, config)
+        known = most_likely(pairs, config)
     except (MotionError, SolverError) as error:
         # Whether the motion is enough is for the solver that was asked for to say: what it leaves
         # open may be allowed, or known beforehand.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
+    directions, variance = _shown(known, config)
     expected: dict[str, float] = {}
     for reference in _candidates(pairs):
-        motions = thinned(select_motions(pairs, reference), _ENOUGH)
+        motions = thinned_to(select_motions(pairs, reference), _ENOUGH)
         try:
             found = load_solver(config.solver)(motions, config).T_a_b
         except (MotionError, SolverError):
             # Another reference may do; where none does, the usual one says why.
             continue
-        expected[reference] = known.expected_error(found)
+        step = directions @ se3.step_between(known.T_a_b, found)
+        expected[reference] = float(np.sqrt(step @ step + variance))
     if not expected:
         return ReferenceChoice(usual)
     best = min(expected, key=lambda name: expected[name])
@@ -161,17 +118,17 @@ def _fits(reference: str, poses: int) -> bool:
     return False
 
 
-def _known(pairs: PosePairs, config: CalibrationConfig) -> Known:
-    motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
-    solution = noise_identifier().load()(motions, config)
-    covariance = estimate_uncertainty(solution, motions).covariance
+def _shown(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:
+    """Return (K, 6) what turns a step into metres along directions that the motion showed.
+
+    And the variance of the mean along all of them together, m^2.
+    """
     unit = np.repeat([1.0, _DISTANCE], 3)
-    variances, axes = np.linalg.eigh(covariance * np.outer(unit, unit))
+    variances, axes = np.linalg.eigh(known.covariance * np.outer(unit, unit))
     # Where the motion showed nothing, no answer is better than another.
     seen = variances < config.unobserved_translation**2
     # Rounding may leave a variance below zero.
-    return Known(solution.T_a_b, covariance, axes[:, seen].T * unit,
-                 float(np.maximum(variances[seen], 0.0).sum()))
+    return axes[:, seen].T * unit, float(np.maximum(variances[seen], 0.0).sum())
 
 
 def _explanation(best: str, expected: dict[str, float]) -> str:

@@ -39,6 +39,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'walk, walk_rotation, coloured, coloured_rotation, coloured_time, loop_closures, scale; '
         'may be given several times')
     parser.add_argument('--duration', type=float, metavar='S', help='seconds')
+    parser.add_argument(
+        '--mounting', metavar='TRANSFORM',
+        help='pose of b in a: x,y,z,roll,pitch,yaw (metres, radians) or x,y,z,qx,qy,qz,qw '
+        '(default: drawn from the seed)')
     for name in 'ab':
         group = parser.add_argument_group(f'sensor {name}')
         group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
@@ -66,8 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seed < 0:
         raise ConfigError(f'seed is {arguments.seed}, needed a whole number from 0 up')
     scenario = _changed(SCENARIOS[arguments.scenario], arguments)
+    mounting = None
+    if arguments.mounting is not None:
+        from trajectory_calibration.outputs.extrinsic_file import parse_transform
+        mounting = parse_transform(arguments.mounting)
     with running_clock('simulating'):
-        pair = simulate(scenario, arguments.seed)
+        pair = simulate(scenario, arguments.seed, mounting)
         hint = _write(pair, arguments)
     for name, trajectory in (('a', pair.a), ('b', pair.b)):
         print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '

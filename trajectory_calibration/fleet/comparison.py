@@ -125,7 +125,7 @@ class Comparison:
             lines.append(
                 f'CHANGED: {before.describe()} | {after.describe()}: '
                 f'{describe_step(change.step, change.named)} ({change.sigma:.0f} sigma, chi2/dof '
-                f'{change.chi_squared / change.degrees_of_freedom:.3g})')
+                f'{change.chi_squared / change.degrees_of_freedom:,.0f})')
         if len(self.stretches) == 1:
             lines.append(f'AGREE: {len(answers)} answers are of one extrinsic ({ratio})')
         if self.stretches and self.noise_ratio > 1.5:

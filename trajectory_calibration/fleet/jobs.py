@@ -21,8 +21,8 @@ from trajectory_calibration.fleet.comparison import Entry, short_names
 from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.sources.files import BAG_SUFFIXES
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
+from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
 
 _OPTIONS = tuple(item.name for item in fields(InputOptions))

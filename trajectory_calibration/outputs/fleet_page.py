@@ -17,8 +17,8 @@ from trajectory_calibration.version import __version__
 _TITLES = ('x', 'y', 'z', 'about x', 'about y', 'about z')
 
 # Of a chart in user units, and its margins.
-_WIDTH, _HEIGHT = 420, 170
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 8, 12, 26
+_WIDTH, _HEIGHT = 420, 160
+_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 8, 12, 10
 
 # Half a bar: two standard deviations, as 95 % of errors.
 _BAR = 2.0
@@ -190,7 +190,7 @@ def _table(comparison: Comparison) -> str:
 def _row(entry: Entry) -> str:
     name = f'<td>{escape(entry.name)}</td>'
     if entry.result is None:
-        return f'{name}<td colspan="8">no answer</td><td>{escape(entry.failure)}</td>'
+        return f'{name}<td colspan="9">no answer: {escape(entry.failure)}</td>'
     date = (entry.result.start_utc or '').replace('T', ' ').removesuffix('Z')
     numbers = ''.join(f'<td>{value.replace("+-", "&plusmn;")}</td>' for value in values_of(entry))
     codes = ' '.join(dict.fromkeys(found.code for found in entry.result.findings))

@@ -119,7 +119,9 @@ class SimulatedPair:
     T_a_b: FloatArray
 
 
-def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
+def simulate(
+    scenario: Scenario, seed: int, T_a_b: FloatArray | None = None,
+) -> SimulatedPair:
     """Draw one run of a scenario.
 
     The generator of Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023,
@@ -132,6 +134,8 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
         What moves, and how it is seen.
     seed : int
         Of everything random.
+    T_a_b : (4, 4), optional
+        How sensor b is mounted; drawn from the seed where omitted.
 
     Returns
     -------
@@ -142,11 +146,12 @@ def simulate(scenario: Scenario, seed: int) -> SimulatedPair:
     for_path, for_frames, for_a, for_b = np.random.SeedSequence(seed).spawn(4)
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     rng = np.random.default_rng(for_frames)
-    T_a_b = random_pose(rng)
+    drawn = random_pose(rng)
+    T_a_b = drawn if T_a_b is None else T_a_b
     T_worldb_worlda = random_pose(rng)
     return SimulatedPair(
-        a=_observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
-        b=_observe(scenario.b, scenario.duration,
+        a=observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
+        b=observe(scenario.b, scenario.duration,
                    T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
         T_a_b=T_a_b,
     )
@@ -169,7 +174,7 @@ def _count(duration: float, rate: float) -> int:
     return int(duration * rate + 1e-6) + 1
 
 
-def _observe(
+def observe(
     sensor: Sensor, duration: float, poses: FloatArray, seed: np.random.SeedSequence,
 ) -> Trajectory:
     """Report true (N, 4, 4) poses, evenly spaced in time, as the sensor's SLAM would."""

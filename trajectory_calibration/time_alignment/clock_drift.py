@@ -39,6 +39,15 @@ _LEAST_WINDOWS = 10
 _SETTLED = 0.1
 _MAX_ROUNDS = 10
 
+# Half-width (s/s) of what oscillators of computers and sensors differ by, and the least odds for a
+# drift: a crystal of ordinary tolerance needs about five of its deviations.
+_USUAL, _ODDS = 2e-5, 1e4
+
+# Parts of the drive over which scores are summed for their variance; the mean of both.
+_BLOCKS = (20, 10)
+
+_QUARTERS = 4
+
 # More than this (s/s) no clock differs from another: daemons that steer one stop at 5e-4.
 _LARGEST = 1e-3
 
@@ -75,13 +84,9 @@ def find_clock_drift(
     turning = Turning.over_windows(a, b, offset_ns, cell_ns)
     if turning is None:
         return None
-    half_ns = round(
-        a.usual_step_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / a.usual_step_ns)))
-    # From -1 to 1, so that both columns of the line have one size.
+    half_ns = half_width_ns(a, cell_ns)
     half_s = 0.5 * turning.duration_s
-    since_middle = (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns)
-    place = 0.5e-9 * since_middle / half_s
-    line = np.column_stack([np.ones(len(turning)), place])
+    line = np.column_stack([np.ones(len(turning)), _place(turning)])
     shift, rate = 0.0, 0.0
     for _ in range(_MAX_ROUNDS):
         found = _regress(turning, shift, rate, half_ns, line)
@@ -97,14 +102,29 @@ def find_clock_drift(
         return None
     floor = STEP_SHARE * a.usual_step_ns * 1e-9
     std_rate = float(np.hypot(std, floor)) / half_s
-    if not is_significant(rate, std_rate, half_s):
+    if not (is_significant(rate, std_rate, half_s) and _odds_of_drift(rate, std_rate) > _ODDS):
         return None
-    quarters = np.floor(2 * np.clip(place, -0.999, 0.999))[:, None] == np.arange(-2, 2)
-    apart = _regress(turning, shift, rate, half_ns, quarters.astype(np.float64))
+    apart = _regress(turning, shift, rate, half_ns, _quarters(turning))
     uneven_s = 0.0 if apart is None else max(
         (abs(float(value)) for value, its_std in zip(*apart, strict=True)
          if is_significant(value, np.hypot(its_std, floor))), default=0.0)
     return ClockDrift(float(rate), std_rate, uneven_s, turning.middle_ns - offset_ns)
+
+
+def _odds_of_drift(rate: float, std: float) -> float:
+    """Return how much more likely the data are with a drift of an ordinary clock than without.
+
+    The Bayes factor of a Cauchy prior of the rate against zero, by Laplace's approximation: an
+    oscillator that is off by 900 ppm needs better evidence than one that is off by 20.
+    """
+    prior = 1 / (np.pi * _USUAL * (1 + (rate / _USUAL)**2))
+    exponent = min(0.5 * (rate / std)**2, 600.0)
+    return float(np.sqrt(2 * np.pi) * std * prior * np.exp(exponent))
+
+
+def half_width_ns(a: Trajectory, cell_ns: int) -> int:
+    """Return the half-width of the difference quotient by time, whole steps of a, nanoseconds."""
+    return round(a.usual_step_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / a.usual_step_ns)))
 
 
 def _regress(
@@ -135,8 +155,58 @@ def _regress(
     # About an axis that nothing turned about, the rotation is open: no part of the answer.
     inverse = np.linalg.pinv(np.einsum('kij,kil->jl', weighted, J), rcond=ROUNDING, hermitian=True)
     step = inverse @ np.einsum('kij,ki->j', weighted, residual)
-    rest = residual - J @ step
+    rest: FloatArray = residual - J @ step
     variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * turning.overlapping)
-    covariance = variance * inverse @ np.einsum('kij,kil->jl', weighted, weighted) @ inverse
+    white = variance * inverse @ np.einsum('kij,kil->jl', weighted, weighted) @ inverse
+    # Beside what a clock that was set does: that is no noise, but for find_clock_drift to say.
+    quarters = slope[:, :, None] * _quarters(turning)[:, None, :]
+    J_quarters = np.concatenate([quarters, J[:, :, -3:]], axis=2)
+    beside = weights[:, None, None] * J_quarters
+    normal = np.einsum('kij,kil->jl', beside, J_quarters)
+    fitted = np.linalg.pinv(normal, rcond=ROUNDING, hermitian=True) @ np.einsum(
+        'kij,ki->j', beside, rest)
+    scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ fitted) @ inverse
     n = basis.shape[1]
-    return step[:n], np.sqrt(np.maximum(np.diag(covariance)[:n], 0.0))
+    squares = np.diag(white)[:n]
+    # Quarters of the time are themselves what the blocks are compared within.
+    if n < _QUARTERS:
+        squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
+    return step[:n], np.sqrt(np.maximum(squares, 0.0))
+
+
+def _place(turning: Turning) -> FloatArray:
+    """Return (K,) where each window lies in the common time, from -1 to 1."""
+    since_middle = (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns)
+    return since_middle.astype(np.float64) * (1e-9 / turning.duration_s)
+
+
+def _quarters(turning: Turning) -> FloatArray:
+    """Return (K, 4), 1 in the column of the quarter of the time in which a window lies."""
+    quarter = np.floor(2 * np.clip(_place(turning), -0.999, 0.999))
+    columns: FloatArray = (quarter[:, None] == np.arange(-2, 2)).astype(np.float64)
+    return columns
+
+
+def offset_deviation(turning: Turning, shift: float, half_ns: int) -> float:
+    """Return the standard deviation of a shift (s) of least disagreement, by the same regression.
+
+    Zero where the rotation does not tell.
+    """
+    found = _regress(turning, shift, 0.0, half_ns, np.ones((len(turning), 1)))
+    return 0.0 if found is None else float(found[1][0])
+
+
+def _squares_of_blocks(scores: FloatArray) -> FloatArray:
+    """Return (n,) variances of the sum of (K, n) scores, from how sums over long blocks scatter.
+
+    The errors of a SLAM go on for seconds: windows beside each other share them, and their own
+    scatter is too little (the sandwich over clusters).
+    """
+    found = []
+    for count in _BLOCKS:
+        if len(scores) >= 2 * count:
+            edges = np.linspace(0, len(scores), count + 1).astype(int)[:-1]
+            sums = np.add.reduceat(scores, edges, axis=0)
+            found.append(np.sum(sums**2, axis=0) * count / (count - 1))
+    squares: FloatArray = np.mean(found, axis=0) if found else np.zeros(scores.shape[1])
+    return squares

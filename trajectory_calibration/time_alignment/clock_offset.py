@@ -16,7 +16,11 @@ import numpy as np
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError
-from trajectory_calibration.time_alignment.clock_drift import find_clock_drift
+from trajectory_calibration.time_alignment.clock_drift import (
+    find_clock_drift,
+    half_width_ns,
+    offset_deviation,
+)
 from trajectory_calibration.time_alignment.cross_correlation import (
     chance_factor,
     find_coarse_offset,
@@ -204,8 +208,10 @@ def _valley(a: Trajectory, b: Trajectory, start_ns: int, cell_ns: int) -> _Valle
             return None
         shift, valley = found
         if valley is not None:
+            scatter = offset_deviation(turning, shift, half_width_ns(a, cell_ns))
             return _no_better_than_none(
-                turning, replace(valley, seconds=start_ns * 1e-9 + shift), start_ns)
+                turning, replace(valley, seconds=start_ns * 1e-9 + shift,
+                                 std=max(valley.std, scatter)), start_ns)
         # It goes on beyond: noise that interpolation averages may put the first guess cells off.
         start_ns += round(shift * 1e9)
     return None

@@ -1,0 +1,331 @@
+"""``calibrate_rig`` from trajectories to poses, findings and files."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import calibrate, CalibrationConfig, CalibrationError, ConfigError
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import ResultError, TrajectoryError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.rig import (
+    calibrate_rig,
+    fuse_results,
+    RigConfig,
+    RigResult,
+    SensorSettings,
+)
+from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.contradictions import find_other_clocks, survival
+from trajectory_calibration.simulation.noise import Noise
+from trajectory_calibration.simulation.paths import flat, Unicycle
+from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
+from trajectory_calibration.simulation.scenario import Sensor
+
+SLAM = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
+FREE = {'mono': SensorSettings(scale='free')}
+
+
+def vehicle(names='abc', duration=40.0, noise=SLAM, **more):
+    return RigScenario({name: Sensor(noise=noise) for name in names}, duration, **more)
+
+
+@pytest.fixture(scope='module')
+def mixed():
+    """Three sensors of other rates and clocks, one of them monocular, and their rig."""
+    run = simulate_rig(rig_scenario(3, 60.0), 1)
+    return run, calibrate_rig(run.trajectories, RigConfig(sensors=FREE))
+
+
+def error(result, run, name):
+    return se3.step_between(run.T_base_sensor[name], result.sensors[name].T_base_sensor)
+
+
+def test_every_sensor_is_found_within_its_deviations(mixed):
+    run, rig = mixed
+    assert list(rig.sensors) == ['lidar', 'gnss', 'mono']
+    for name in rig.free:
+        e, P = error(rig, run, name), rig.sensors[name].covariance
+        assert e @ np.linalg.solve(P, e) / 6 < 4
+    assert rig.sensors['mono'].scale == pytest.approx(1 / 0.37, rel=0.01)
+    assert rig.sensors['mono'].clock.offset_s == pytest.approx(-0.035, abs=0.003)
+    assert [item.kind for item in rig.contradictions] == ['clock']
+    assert rig.p_value > 0.01
+
+
+def test_loops_close(mixed):
+    rig = mixed[1]
+    for a, b, c in combinations(rig.sensors, 3):
+        T = rig.transform(a, b) @ rig.transform(b, c) @ rig.transform(c, a)
+        np.testing.assert_allclose(T, np.eye(4), atol=1e-12)
+
+
+def test_covariance_between_two_sensors_is_that_of_both(mixed):
+    rig = mixed[1]
+    np.testing.assert_allclose(
+        rig.covariance_of('lidar', 'gnss'), rig.sensors['gnss'].covariance, atol=1e-15)
+    both = rig.covariance_of('gnss', 'mono')
+    assert np.linalg.eigvalsh(both).min() > 0
+    assert np.linalg.eigvalsh(rig.covariance).min() > 0
+
+
+def test_a_rig_is_saved_and_loaded(mixed, tmp_path):
+    rig = mixed[1]
+    rig.save(tmp_path / 'rig.yaml')
+    loaded = RigResult.load(tmp_path / 'rig.yaml')
+    again = RigResult.from_dict(loaded.to_dict())
+    assert again.findings == rig.findings
+    assert again.contradictions == rig.contradictions
+    np.testing.assert_allclose(again.transform('gnss', 'mono'), rig.transform('gnss', 'mono'),
+                               atol=1e-14)
+    np.testing.assert_array_equal(loaded.covariance, rig.covariance)
+
+
+def test_no_rig_is_no_rig(tmp_path):
+    (tmp_path / 'x.yaml').write_text('rig_format_version: 1\nbase: a\n')
+    with pytest.raises(ResultError, match='not a rig'):
+        RigResult.load(tmp_path / 'x.yaml')
+    (tmp_path / 'x.yaml').write_text('1\n')
+    with pytest.raises(ResultError, match='holds no rig'):
+        RigResult.load(tmp_path / 'x.yaml')
+
+
+def test_two_sensors_give_the_answer_of_calibrate():
+    run = simulate_rig(vehicle('ab'), 2)
+    alone = calibrate(run.trajectories['a'], run.trajectories['b'])
+    rig = calibrate_rig(run.trajectories)
+    np.testing.assert_allclose(rig.transform('a', 'b'), alone.T_a_b, atol=1e-9)
+    np.testing.assert_allclose(rig.covariance, alone.covariance, rtol=1e-9)
+
+
+def test_two_sensors_with_a_prior_give_the_answer_of_calibrate():
+    run = simulate_rig(vehicle('ab'), 2)
+    x = run.T_base_sensor['b'][:3, 3]
+    prior = {'prior_translation': ','.join(map(str, x)), 'prior_translation_std': '0.001'}
+    alone = calibrate(run.trajectories['a'], run.trajectories['b'], CalibrationConfig(**prior))
+    rig = calibrate_rig(run.trajectories, RigConfig(sensors={'b': SensorSettings(**prior)}))
+    np.testing.assert_allclose(rig.transform('a', 'b'), alone.T_a_b, atol=1e-9)
+
+
+def test_the_base_is_whichever_is_asked_for():
+    run = simulate_rig(vehicle(), 3)
+    one, other = (calibrate_rig(run.trajectories, RigConfig(base=name)) for name in 'ac')
+    std = np.sqrt(np.diagonal(one.covariance_of('a', 'b')))
+    step = se3.step_between(one.transform('a', 'b'), other.transform('a', 'b'))
+    assert (np.abs(step) < 0.5 * std).all()
+
+
+def test_processes_change_nothing():
+    run = simulate_rig(vehicle(duration=20.0), 4)
+    one, two = (calibrate_rig(run.trajectories, RigConfig(processes=k)) for k in (1, 2))
+    np.testing.assert_array_equal(one.covariance, two.covariance)
+
+
+def test_another_vehicle_is_named_and_the_rest_is_answered():
+    run = simulate_rig(vehicle('abcd', faults={'c': Fault(elsewhere=True)}), 5)
+    rig = calibrate_rig(run.trajectories)
+    assert [item.sensor for item in rig.contradictions] == ['c']
+    assert rig.contradictions[0].kind == 'vehicle'
+    assert list(rig.sensors) == ['a', 'b', 'd']
+    assert rig.findings[0].code == 'rig-other-motion'
+
+
+def test_a_late_clock_is_named_and_corrected():
+    run = simulate_rig(vehicle('abcd', faults={'b': Fault(late=0.08)}), 6)
+    rig = calibrate_rig(run.trajectories)
+    assert [(item.sensor, item.kind) for item in rig.contradictions] == [('b', 'clock')]
+    assert '80 ms late' in rig.contradictions[0].text
+    assert np.linalg.norm(error(rig, run, 'b')[:3]) < 0.03
+
+
+def test_clocks_of_which_none_is_usual_are_no_fault():
+    assert find_other_clocks([Clock(0.1 * k) for k in range(4)], 0) == []
+    assert find_other_clocks([Clock(), Clock(), Clock(-0.08)], 0) == [(2, 0.08)]
+
+
+MOVED = vehicle('abcd', duration=120.0, faults={'c': Fault(moved=0.05)})
+
+
+@pytest.fixture(scope='module')
+def moved():
+    run = simulate_rig(MOVED, 7)
+    return run, calibrate_rig(run.trajectories)
+
+
+def test_a_mount_that_moved_is_named(moved):
+    rig = moved[1]
+    assert [(item.sensor, item.kind) for item in rig.contradictions] == [('c', 'moved')]
+    assert rig.contradictions[0].p_value < 1e-3
+    assert 'near 6' in rig.contradictions[0].text or 'near 5' in rig.contradictions[0].text
+    assert not any(pair.used for pair in rig.pairs if 'c' in (pair.parent, pair.child))
+
+
+def test_a_mount_that_moved_has_no_say_about_the_others(moved):
+    run, rig = moved
+    without = calibrate_rig({k: v for k, v in run.trajectories.items() if k != 'c'})
+    for name in 'bd':
+        step = se3.step_between(without.transform('a', name), rig.transform('a', name))
+        assert np.abs(step).max() < 1e-5
+
+
+def test_a_contradicting_sensor_is_left_out_on_request(moved):
+    rig = calibrate_rig(moved[0].trajectories, RigConfig(leave_out_contradicting=True))
+    assert list(rig.sensors) == ['a', 'b', 'd']
+    assert rig.contradictions[0].left_out
+    assert rig.covariance.shape == (12, 12)
+
+
+def test_mounts_that_stay_are_not_named():
+    for seed in range(3):
+        run = simulate_rig(vehicle(duration=30.0), seed)
+        assert not calibrate_rig(run.trajectories).contradictions
+
+
+
+def halves(run):
+    """Return two sensors of the first half of a drive, and two of the second."""
+    cut = {}
+    for name, trajectory in run.trajectories.items():
+        middle = len(trajectory) // 2
+        part = slice(None, middle - 20) if name in 'ab' else slice(middle + 20, None)
+        cut[name] = Trajectory(trajectory.stamps_ns[part], trajectory.poses[part],
+                               sensor_frame=name)
+    return cut
+
+
+def test_a_forest_is_answered_tree_by_tree():
+    run = simulate_rig(vehicle('abcd', duration=60.0), 8)
+    rig = calibrate_rig(halves(run), RigConfig(calibration=CalibrationConfig(max_time_offset=0.5)))
+    assert rig.trees == {'a': ('a', 'b'), 'c': ('c', 'd')}
+    assert rig.covariance.shape == (12, 12)
+    assert [found.code for found in rig.findings] == ['rig-groups']
+    with pytest.raises(ResultError, match='no common motion'):
+        rig.transform('a', 'd')
+
+
+def test_a_sensor_without_common_time_is_reported():
+    run = simulate_rig(vehicle('abc'), 9)
+    late = run.trajectories['c']
+    given = {**run.trajectories, 'c': Trajectory(
+        late.stamps_ns + 10**12, late.poses, sensor_frame='c')}
+    rig = calibrate_rig(given)
+    assert [(item.sensor, item.kind) for item in rig.contradictions] == [('c', 'time')]
+    assert list(rig.sensors) == ['a', 'b']
+
+
+def test_a_sensor_that_two_others_bridge_is_answered():
+    run = simulate_rig(vehicle('abc', duration=60.0), 10)
+    given = dict(run.trajectories)
+    for name, part in (('a', slice(None, 300)), ('c', slice(320, None))):
+        track = given[name]
+        given[name] = Trajectory(track.stamps_ns[part], track.poses[part], sensor_frame=name)
+    rig = calibrate_rig(given, RigConfig(calibration=CalibrationConfig(max_time_offset=0.5)))
+    assert list(rig.sensors) == ['a', 'b', 'c']
+    assert np.linalg.norm(error(rig, run, 'c')[:3]) < 0.05
+
+
+LEVEL = Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat)
+
+
+def test_heights_of_a_planar_vehicle_are_open_for_every_sensor():
+    run = simulate_rig(vehicle(motion=LEVEL), 11)
+    rig = calibrate_rig(run.trajectories)
+    assert rig.unobserved == {'b': ('z',), 'c': ('z',)}
+    found = next(item for item in rig.findings if item.code == 'direction-unobserved')
+    assert found.text.startswith('z of b, c unobservable')
+
+
+def test_a_prior_anchors_a_height():
+    run = simulate_rig(vehicle(motion=LEVEL), 11)
+    z = run.T_base_sensor['b'][2, 3]
+    rig = calibrate_rig(run.trajectories, RigConfig(sensors={'b': SensorSettings(
+        prior_translation=f'-,-,{z}', prior_translation_std='-,-,0.005')}))
+    assert rig.sensors['b'].status['z'] == 'prior'
+    assert rig.unobserved == {'c': ('z',)}
+    assert rig.transform('a', 'b')[2, 3] == pytest.approx(z, abs=0.02)
+
+
+def test_a_prior_far_from_the_motion_is_named():
+    run = simulate_rig(vehicle(), 12)
+    x, y, z = run.T_base_sensor['b'][:3, 3]
+    rig = calibrate_rig(run.trajectories, RigConfig(sensors={'b': SensorSettings(
+        prior_translation=f'{x + 0.5},{y},{z}', prior_translation_std='0.01')}))
+    assert [(item.sensor, item.kind) for item in rig.contradictions] == [('b', 'prior')]
+
+
+def test_saved_pairs_make_a_rig():
+    run = simulate_rig(vehicle(), 13)
+    results = [calibrate(run.trajectories[i], run.trajectories[j], CalibrationConfig())
+               for i, j in combinations('abc', 2)]
+    rig = fuse_results(results)
+    assert list(rig.sensors) == ['a', 'b', 'c']
+    for name in 'bc':
+        e = error(rig, run, name)
+        assert e @ np.linalg.solve(rig.sensors[name].covariance, e) / 6 < 4
+    with pytest.raises(ConfigError, match='two results hold'):
+        fuse_results([results[0], results[0]])
+
+
+def test_no_pair_is_no_rig():
+    faults = {name: Fault(elsewhere=True) for name in 'b'}
+    run = simulate_rig(vehicle('abc', duration=30.0, faults=faults), 14)
+    late = run.trajectories['c']
+    given = {**run.trajectories, 'c': Trajectory(
+        late.stamps_ns + 10**12, late.poses, sensor_frame='c')}
+    with pytest.raises(CalibrationError, match='no two of 3 sensors'):
+        calibrate_rig(given)
+
+
+def test_eight_sensors_are_compared_with_three_of_them():
+    run = simulate_rig(vehicle('abcdef', duration=20.0), 15)
+    rig = calibrate_rig(run.trajectories)
+    assert len(rig.pairs) == 5 + 4 + 3
+    assert len(calibrate_rig(run.trajectories, RigConfig(pairs='base')).pairs) == 5
+
+
+@pytest.mark.parametrize(('values', 'message'), [
+    ({'bases': 'a'}, "key 'bases' of the rig is unknown"),
+    ({'sensors': {'a': {'skale': 'free'}}}, "key 'skale' of sensor a is unknown"),
+    ({'sensors': {'a': {'scale': 'any'}}}, "scale is 'any'"),
+    ({'sensors': {'a': {'prior_translation': '1,2,3'}}}, 'sensor a: prior_translation_std'),
+    ({'sensors': {'a': 3}}, 'sensor a is 3'),
+    ({'calibration': {'solvr': 'dnl'}}, "'solvr' is unknown"),
+    ({'calibration': {'prior_translation': '1,2,3', 'prior_translation_std': '1'}},
+     'a rig has a prior for each sensor'),
+    ({'pairs': 'some'}, "pairs is 'some'"),
+    ({'max_poses': -1}, 'max_poses is -1'),
+])
+def test_wrong_settings_are_errors(values, message):
+    with pytest.raises(ConfigError, match=message):
+        RigConfig.from_dict(values)
+
+
+def test_settings_survive_plain_data():
+    config = RigConfig(base='a', sensors={'a': SensorSettings(scale='free')}, pairs='all')
+    assert RigConfig.from_dict(config.to_dict()) == config
+
+
+@pytest.mark.parametrize(('given', 'config', 'error_type', 'message'), [
+    ('a', RigConfig(), ConfigError, '1 sensors'),
+    ('abc', RigConfig(base='x'), ConfigError, "sensor 'x' is unknown"),
+    ('abc', RigConfig(sensors={'y': SensorSettings()}), ConfigError, "sensor 'y' is unknown"),
+    ('abc', RigConfig(sensors={'a': SensorSettings(scale='free')}), ConfigError, 'no metres'),
+])
+def test_names_that_do_not_fit_are_errors(given, config, error_type, message):
+    run = simulate_rig(vehicle(duration=5.0), 0)
+    with pytest.raises(error_type, match=message):
+        calibrate_rig({name: run.trajectories[name] for name in given}, config)
+
+
+def test_a_trajectory_is_needed():
+    with pytest.raises(TrajectoryError, match='needed a Trajectory'):
+        calibrate_rig({'a': 1, 'b': 2})
+
+
+def test_survival_of_chi_squared():
+    assert survival(0, 6) == 1
+    assert survival(12.592, 6) == pytest.approx(0.05, rel=1e-3)
+    assert survival(5.991, 2) == pytest.approx(0.05, rel=1e-3)
+    assert survival(5000.0, 6) == 0.0
+    assert survival(1200.0, 1000) == pytest.approx(1.22e-5, rel=0.1)

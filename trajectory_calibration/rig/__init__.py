@@ -1,0 +1,7 @@
+"""Several sensors of one vehicle: answers of pairs become one consistent rig."""
+
+from trajectory_calibration.rig.calibration import calibrate_rig, fuse_results
+from trajectory_calibration.rig.result import RigResult
+from trajectory_calibration.rig.settings import RigConfig, SensorSettings
+
+__all__ = ['RigConfig', 'RigResult', 'SensorSettings', 'calibrate_rig', 'fuse_results']

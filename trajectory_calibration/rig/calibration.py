@@ -1,0 +1,456 @@
+"""``calibrate_rig``: trajectories of several sensors in, one consistent rig out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.data.findings import Finding, worst_first
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.contradictions import (
+    ALARM,
+    describe_step,
+    find_moved,
+    find_other_clocks,
+    survival,
+)
+from trajectory_calibration.rig.fusion import Fused
+from trajectory_calibration.rig.pairs import calibrate_pairs, PairAnswer
+from trajectory_calibration.rig.result import (
+    Contradiction,
+    judged,
+    PairReport,
+    RigResult,
+    SensorAnswer,
+)
+from trajectory_calibration.rig.settings import RigConfig
+from trajectory_calibration.rig.tree import build_tree, Pair, Tree
+
+# The finding of each kind of contradiction.
+_CODES = {
+    'moved': 'rig-mount-moved', 'clock': 'rig-clock', 'loops': 'rig-contradiction',
+    'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
+
+# What a driver does about a component that is open.
+_SHOWN_BY = {
+    'x': 'curves', 'y': 'curves', 'z': 'ramps and banks', 'rotation x': 'ramps and banks',
+    'rotation y': 'ramps and banks', 'rotation z': 'curves'}
+
+# Contradictions that are looked for one after the other, each without the ones before.
+_MOST_DOUBTED = 3
+
+
+def calibrate_rig(
+    trajectories: Mapping[str, Trajectory], config: RigConfig | None = None,
+) -> RigResult:
+    """Find the poses of several sensors in the base from their trajectories.
+
+    Parameters
+    ----------
+    trajectories : mapping of str to Trajectory
+        By the name of the sensor; two or more.
+    config : RigConfig, optional
+        Settings; the defaults where omitted.
+
+    Returns
+    -------
+    RigResult
+        With the pose of every sensor that shares motion with others, by trees where not all do.
+        The answer of two sensors is that of ``calibrate``.
+
+    Raises
+    ------
+    CalibrationError
+        One of its subclasses: ConfigError (names that do not fit), TrajectoryError, or the error
+        of a pair where no two sensors give an answer.
+
+    """
+    config = config or RigConfig()
+    base = _validated(trajectories, config)
+    if len(trajectories) == 2:
+        return _of_two(trajectories, base, config)
+    answers = calibrate_pairs(trajectories, base, config)
+    return _of_answers(answers, [base, *(name for name in trajectories if name != base)],
+                       trajectories, config)
+
+
+def fuse_results(
+    results: Sequence[CalibrationResult], config: RigConfig | None = None,
+) -> RigResult:
+    """Make one rig of saved answers of pairs; sensors are named by their frames.
+
+    What the pairs share is guessed from their covariances: without trajectories nobody knows.
+
+    Raises
+    ------
+    ConfigError
+        No results, a pair that is there twice, or a base that none of them has.
+
+    """
+    config = config or RigConfig()
+    if not results:
+        raise ConfigError('no results were given, needed one of each pair')
+    names: list[str] = []
+    seen: set[frozenset[str]] = set()
+    for result in results:
+        ends = frozenset((result.frame_a, result.frame_b))
+        if len(ends) < 2:
+            raise ConfigError(f'a result has the frame {result.frame_a} twice; name the frames '
+                              'of both sensors')
+        if ends in seen:
+            raise ConfigError(f'two results hold {result.frame_a} and {result.frame_b}; needed '
+                              'one of each pair')
+        seen.add(ends)
+        names += [name for name in (result.frame_a, result.frame_b) if name not in names]
+    base = config.base or names[0]
+    _require_names(config, names)
+    answers = [PairAnswer(result.frame_a, result.frame_b, result) for result in results]
+    return _of_answers(answers, [base, *(name for name in names if name != base)], {}, config)
+
+
+def _validated(trajectories: Mapping[str, Trajectory], config: RigConfig) -> str:
+    """Return the name of the base."""
+    if len(trajectories) < 2:
+        raise ConfigError(f'{len(trajectories)} sensors were given, needed two or more')
+    for name, trajectory in trajectories.items():
+        if not isinstance(trajectory, Trajectory):
+            raise TrajectoryError(
+                f'sensor {name} is of type {type(trajectory).__name__}, needed a Trajectory')
+    _require_names(config, list(trajectories))
+    base = config.base or next(iter(trajectories))
+    metric = [name for name in trajectories if config.of(name).scale != 'free']
+    if metric and base not in metric:
+        raise ConfigError(
+            f'the base {base} has scale free, so that the rig would have no metres; choose '
+            f'another base, such as {metric[0]}')
+    return base
+
+
+def _require_names(config: RigConfig, names: Sequence[str]) -> None:
+    for name in (*config.sensors, *([config.base] if config.base else [])):
+        if name not in names:
+            raise ConfigError(f'sensor {name!r} is unknown; known are {", ".join(names)}')
+
+
+def _of_two(
+    trajectories: Mapping[str, Trajectory], base: str, config: RigConfig,
+) -> RigResult:
+    """Return the answer of ``calibrate`` as a rig."""
+    other = next(name for name in trajectories if name != base)
+    settings = config.of(other)
+    calibration = replace(
+        config.calibration, prior_translation=settings.prior_translation,
+        prior_translation_std=settings.prior_translation_std,
+        prior_rotation=settings.prior_rotation, prior_rotation_std=settings.prior_rotation_std)
+    if settings.scale == 'free':
+        calibration = replace(calibration, scale_mode='estimate', scale=1.0)
+    result = calibrate(trajectories[base], trajectories[other], calibration)
+    covariance = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
+    sensors = {
+        base: _answer(base, base, np.eye(4), np.zeros((6, 6)), config, trajectories),
+        other: replace(
+            _answer(other, base, result.T_a_b, covariance, config, trajectories),
+            status=_status_of(result, covariance, config), scale=result.scale,
+            clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns))}
+    pair = PairReport(base, other, residual=np.zeros(6), std=np.sqrt(np.diagonal(covariance)),
+                      poses=result.poses)
+    return RigResult(
+        base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
+        contradictions=(), chi_squared=0.0, degrees=0, p_value=1.0,
+        findings=tuple(result.findings), config=config)
+
+
+def _of_answers(
+    answers: Sequence[PairAnswer], names: Sequence[str],
+    trajectories: Mapping[str, Trajectory], config: RigConfig,
+) -> RigResult:
+    """Return the rig of the answers of pairs, tree by tree."""
+    solved = [answer for answer in answers if answer.result is not None]
+    if not solved:
+        reasons = '; '.join(f'{answer.parent} - {answer.child}: {answer.failure}'
+                            for answer in answers[:3])
+        raise CalibrationError(f'no two of {len(names)} sensors gave an answer: {reasons}')
+    groups = _connected(names, solved)
+    sensors: dict[str, SensorAnswer] = {}
+    blocks: list[FloatArray] = []
+    free: list[str] = []
+    reports: dict[tuple[str, str], PairReport] = {
+        (answer.parent, answer.child): PairReport(
+            answer.parent, answer.child, answer.failure or 'no answer', used=False)
+        for answer in answers}
+    contradictions = _unconnected(groups, answers)
+    chi_squared, degrees = 0.0, 0
+    for group in groups:
+        if len(group) == 1:
+            continue
+        of_group = [answer for answer in solved if answer.parent in group]
+        part = _solve_group(group, of_group, trajectories, config)
+        sensors.update(part.sensors)
+        blocks.append(part.covariance)
+        free += part.free
+        contradictions += part.contradictions
+        reports.update({(pair.parent, pair.child): pair for pair in part.pairs})
+        chi_squared += part.chi_squared
+        degrees += part.degrees
+    ordered = {name: sensors[name] for name in names if name in sensors}
+    p_value = survival(chi_squared, degrees)
+    return RigResult(
+        base=names[0] if names[0] in sensors else next(iter(ordered.values())).base,
+        sensors=ordered, covariance=_block_diagonal(blocks), free=tuple(free),
+        pairs=tuple(reports.values()), contradictions=tuple(contradictions),
+        chi_squared=chi_squared, degrees=degrees, p_value=p_value,
+        findings=_findings(ordered, groups, contradictions, p_value), config=config)
+
+
+def _connected(names: Sequence[str], solved: Sequence[PairAnswer]) -> list[list[str]]:
+    """Return the groups of sensors that answers connect, the base of each first."""
+    groups: list[list[str]] = []
+    left = list(names)
+    while left:
+        group = {left[0]}
+        while True:
+            more = {end for answer in solved if group & {answer.parent, answer.child}
+                    for end in (answer.parent, answer.child)} - group
+            if not more:
+                break
+            group |= more
+        groups.append([name for name in left if name in group])
+        left = [name for name in left if name not in group]
+    return groups
+
+
+def _unconnected(
+    groups: Sequence[Sequence[str]], answers: Sequence[PairAnswer],
+) -> list[Contradiction]:
+    """Name the sensors that share no answer with any other."""
+    found = []
+    for name in (group[0] for group in groups if len(group) == 1):
+        own = [answer for answer in answers if name in (answer.parent, answer.child)]
+        if not own:
+            continue
+        if all(answer.no_common_time for answer in own):
+            kind, text = 'time', (
+                f'{name} shares no time with any other sensor: check its clock and its file, or '
+                'raise max_time_offset')
+        else:
+            reason = next(answer.failure for answer in own if not answer.no_common_time)
+            kind, text = 'vehicle', (
+                f'{name} does not move as the other sensors do: check its topic or file, and '
+                f'that it rides on this vehicle ({reason})')
+        found.append(Contradiction(name, kind, text, left_out=True))
+    return found
+
+
+def _solve_group(
+    group: Sequence[str], answers: Sequence[PairAnswer],
+    trajectories: Mapping[str, Trajectory], config: RigConfig,
+) -> RigResult:
+    """Return the rig of sensors that are connected."""
+    number = {name: k for k, name in enumerate(group)}
+    pairs = [Pair(number[answer.parent], number[answer.child], answer.result)
+             for answer in answers if answer.result is not None]
+    tree = build_tree(
+        group, pairs, trajectories, [config.of(name).scale == 'free' for name in group],
+        round(config.calibration.max_gap * 1e9))
+    priors = {number[name]: config.of(name).prior for name in group[1:]
+              if config.of(name).prior.given}
+    doubted, contradictions = _doubt(tree)
+    without = tree.fuse(doubted=doubted)
+    contradictions += _against_priors(tree, without, priors)
+    fused = tree.fuse(priors, doubted) if priors else without
+    contradictions += _other_clocks(tree)
+    left_out = {k for k in doubted if k} if config.leave_out_contradicting else set()
+    contradictions = [
+        replace(item, left_out=number[item.sensor] in left_out) for item in contradictions]
+    kept = [k for k in range(1, len(group)) if k not in left_out]
+    rows = np.concatenate([np.arange(6 * k - 6, 6 * k) for k in kept] or [np.zeros(0, int)])
+    sensors = {}
+    for k in (0, *kept):
+        answer = _answer(group[k], group[0], fused.X[k], _block(fused, k), config, trajectories)
+        by_motion = judged(_block(without, k), config.calibration)
+        sensors[group[k]] = replace(
+            answer,
+            status={name: 'prior' if by_motion[name] == 'unobserved' != status else status
+                    for name, status in answer.status.items()},
+            scale=float(tree.scales[k]), scale_std=float(tree.scale_stds[k]),
+            clock=tree.clocks[k],
+            noise=tree.sensor_noise[k] if tree.sensor_noise else None)
+    reports = tuple(
+        PairReport(
+            group[pair.parent], group[pair.child], residual=fused.residuals[p],
+            std=np.sqrt(np.diagonal(tree.C[p, :, p])),
+            chi_squared=float(fused.pair_chi_squared[p]), poses=pair.result.poses,
+            used=not doubted & {pair.parent, pair.child})
+        for p, pair in enumerate(pairs))
+    return RigResult(
+        base=group[0], sensors=sensors, covariance=fused.covariance[np.ix_(rows, rows)],
+        free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
+        chi_squared=without.chi_squared, degrees=without.degrees,
+        p_value=survival(without.chi_squared, without.degrees), findings=(), config=config)
+
+
+def _block(fused: Fused, k: int) -> FloatArray:
+    """Return the (6, 6) covariance of sensor k of a tree; zero of its base."""
+    if k == 0:
+        return np.zeros((6, 6))
+    return fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]
+
+
+def _doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
+    """Return the sensors that contradict the rest, one after the other, and what was found."""
+    doubted: frozenset[int] = frozenset()
+    found: list[Contradiction] = []
+    if len(tree.names) < 3:
+        return doubted, found
+    if tree.noise is not None and tree.grid is not None:
+        moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid)
+        if moved is not None and moved.p_value < ALARM:
+            seconds = 1e-9 * float(tree.grid.stamps_ns[moved.sample] - tree.grid.stamps_ns[0])
+            name = tree.names[moved.sensor]
+            doubted |= {moved.sensor}
+            found.append(Contradiction(
+                name, 'moved', f'the mount of {name} moved by {describe_step(moved.step)} near '
+                f'{seconds:.0f} s: fasten it, and calibrate the parts before and after alone',
+                moved.chi_squared, moved.degrees, moved.p_value))
+    while len(doubted) < _MOST_DOUBTED:
+        worst = _worst_in_loops(tree, doubted)
+        if worst is None:
+            return doubted, found
+        sensor, item = worst
+        if sensor is not None:
+            doubted |= {sensor}
+        found.append(item)
+        if sensor is None:
+            return doubted, found
+    return doubted, found
+
+
+def _worst_in_loops(
+    tree: Tree, doubted: frozenset[int],
+) -> tuple[int | None, Contradiction] | None:
+    """Return the sensor without which the loops close best, where they do not close."""
+    now = tree.fuse(doubted=doubted)
+    if survival(now.chi_squared, now.degrees) >= ALARM:
+        return None
+    left = [k for k in range(len(tree.names)) if k not in doubted]
+    tried = []
+    for k in left:
+        without = tree.fuse(doubted=doubted | {k})
+        gain, degrees = now.chi_squared - without.chi_squared, now.degrees - without.degrees
+        tried.append((survival(without.chi_squared, without.degrees), gain, degrees, k, without))
+    # Without the culprit the others agree; of three, nobody is left to agree.
+    told = [item for item in tried if item[4].degrees > 0]
+    if not told:
+        names = ', '.join(tree.names[k] for k in left)
+        return None, Contradiction(
+            tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
+            'three sensors none can be told from the others: add a sensor, or check all',
+            now.chi_squared, now.degrees, survival(now.chi_squared, now.degrees))
+    p_rest, gain, degrees, k, _ = max(told, key=lambda item: (item[0], item[1]))
+    name = tree.names[k]
+    p_value = min(1.0, survival(gain, degrees) * len(told))
+    return k, Contradiction(
+        name, 'loops', f'the pairs of {name} contradict those of the others (which agree with '
+        f'p = {p_rest:.2g} without it): check its frame, its units and its data',
+        gain, degrees, p_value)
+
+
+def _against_priors(
+    tree: Tree, fused: Fused, priors: Mapping[int, Prior],
+) -> list[Contradiction]:
+    """Name the sensors whose prior is far from what the motion says."""
+    found = []
+    for k, prior in priors.items():
+        known = np.isfinite(prior.std)
+        P = _block(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
+        deviation = prior.deviation(fused.X[k])[known]
+        scale = np.sqrt(np.diagonal(P))
+        worst = float(np.abs(deviation / scale).max())
+        # Of the largest of a few normal deviations, so that the number of components is free.
+        p_value = min(1.0, len(scale) * float(np.exp(-0.5 * worst**2)))
+        if p_value < ALARM:
+            name = tree.names[k]
+            found.append(Contradiction(
+                name, 'prior', f'the prior of {name} is {worst:.0f} standard deviations from what '
+                'the motion says: one of them is wrong, and the answer is between',
+                worst**2, 1, p_value))
+    return found
+
+
+def _other_clocks(tree: Tree) -> list[Contradiction]:
+    found = []
+    for k, late_s in find_other_clocks(tree.clocks, tree.clocks[0].epoch_ns):
+        name = tree.names[k]
+        word = 'late' if late_s > 0 else 'early'
+        std = max(tree.clocks[k].offset_std_s, 1e-6)
+        chi_squared = (late_s / std)**2
+        found.append(Contradiction(
+            name, 'clock', f'the stamps of {name} are {1e3 * abs(late_s):.0f} ms {word} against '
+            f'those of the others (corrected): check its driver',
+            chi_squared, 1, float(np.exp(-0.5 * min(chi_squared, 1400.0)))))
+    return found
+
+
+def _answer(
+    name: str, base: str, X: FloatArray, covariance: FloatArray, config: RigConfig,
+    trajectories: Mapping[str, Trajectory],
+) -> SensorAnswer:
+    trajectory = trajectories.get(name)
+    frame = config.of(name).frame or (name if trajectory is None else trajectory.sensor_frame)
+    return SensorAnswer(
+        name=name, frame=frame, base=base, T_base_sensor=X, covariance=covariance,
+        status=judged(covariance, config.calibration),
+        poses=0 if trajectory is None else len(trajectory))
+
+
+def _status_of(
+    result: CalibrationResult, covariance: FloatArray, config: RigConfig,
+) -> dict[str, str]:
+    """Return the status that ``calibrate`` gave, with the words of a rig."""
+    return {**judged(covariance, config.calibration), **dict(result.observability.status)}
+
+
+def _findings(
+    sensors: Mapping[str, SensorAnswer], groups: Sequence[Sequence[str]],
+    contradictions: Sequence[Contradiction], p_value: float,
+) -> tuple[Finding, ...]:
+    found = [
+        Finding(_CODES[item.kind], item.text, {'sensor': item.sensor, 'p_value': item.p_value})
+        for item in contradictions]
+    trees = [group for group in groups if len(group) > 1]
+    if len(trees) > 1:
+        found.append(Finding('rig-groups', (
+            f'{len(trees)} groups of sensors share no motion with each other: '
+            f'{"; ".join(", ".join(tree) for tree in trees)}. Each is answered by itself')))
+    open_: dict[str, list[str]] = {}
+    for sensor in sensors.values():
+        for component in sensor.unobserved:
+            open_.setdefault(component, []).append(sensor.name)
+    found += [
+        Finding('direction-unobserved', (
+            f'{component} of {", ".join(names)} unobservable. Drive {_SHOWN_BY[component]}, or '
+            'give a prior below the sensor'), {'component': component, 'sensors': names})
+        for component, names in open_.items()]
+    if p_value < ALARM:
+        found.append(Finding('rig-loops', (
+            f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '
+            'standard deviations are too small'), {'p_value': p_value}))
+    return worst_first(found)
+
+
+def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    size = sum(len(block) for block in blocks)
+    result, start = np.zeros((size, size)), 0
+    for block in blocks:
+        end = start + len(block)
+        result[start:end, start:end] = block
+        start = end
+    return result

@@ -1,0 +1,174 @@
+"""Which pairs of sensors are calibrated, and their answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import combinations
+import multiprocessing
+import os
+import sys
+import warnings
+
+import numpy as np
+
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import AssociationError, CalibrationError
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.settings import RigConfig
+
+# Up to this many sensors every pair is calibrated.
+_EVERY_PAIR = 4
+
+# Sensors that all others are compared with besides the base, where not every pair is.
+_HUBS = 2
+
+# Poses of all pairs together below which a process costs more than it saves.
+_WORTH_PROCESSES = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class PairAnswer:
+    """What two sensors alone say.
+
+    Attributes
+    ----------
+    parent, child : names.
+    result : the answer, or None.
+    failure : why there is none, or empty.
+    no_common_time : whether that is because they share no time.
+
+    """
+
+    parent: str
+    child: str
+    result: CalibrationResult | None = None
+    failure: str = ''
+    no_common_time: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    parent: str
+    child: str
+    a: Trajectory
+    b: Trajectory
+    config: RigConfig
+
+    def run(self) -> PairAnswer:
+        settings = self.config.calibration
+        if self.config.of(self.child).scale == 'free' and settings.solver == 'drift_aware':
+            settings = replace(settings, scale_mode='estimate', scale=1.0)
+        try:
+            result = calibrate(self.a, self.b, replace(settings, allow_unobserved=True))
+        except CalibrationError as error:
+            return PairAnswer(self.parent, self.child, failure=str(error),
+                              no_common_time=isinstance(error, AssociationError))
+        if result.covariance is None:
+            return PairAnswer(self.parent, self.child, failure='no covariance')
+        return PairAnswer(self.parent, self.child, result)
+
+
+def calibrate_pairs(
+    trajectories: Mapping[str, Trajectory], base: str, config: RigConfig,
+) -> list[PairAnswer]:
+    """Calibrate the pairs that the settings ask for, in rounds.
+
+    A pair is oriented so that a sensor without scale is the child; else the one that stands
+    first is the parent, the base before all.
+    """
+    names = [base, *(name for name in trajectories if name != base)]
+    given = {name: _thinned(trajectories[name], config.max_poses) for name in names}
+    answers: list[PairAnswer] = []
+
+    def extend(wanted: Sequence[tuple[str, str]]) -> None:
+        done = {frozenset((answer.parent, answer.child)) for answer in answers}
+        tasks = [
+            _Task(parent, child, given[parent], given[child], config)
+            for parent, child in (_oriented(pair, names, config) for pair in wanted)
+            if frozenset((parent, child)) not in done]
+        with _mapper(tasks, config.processes) as run:
+            answers.extend(run(_run, tasks))
+
+    if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
+        extend(list(combinations(names, 2)))
+        return answers
+    extend([(base, name) for name in names[1:]])
+    if config.pairs == 'auto':
+        hubs = _hubs(answers, names, config)
+        extend([(hub, name) for hub in hubs for name in names if name != hub])
+    # Sensors that the base does not reach may reach each other.
+    extend([
+        pair for pair in combinations(names, 2)
+        if _component(pair[0], answers) != _component(pair[1], answers)])
+    return answers
+
+
+def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig) -> list[str]:
+    """Return the sensors that are known best against the base, one whose unit is known first."""
+    def badness(name: str) -> tuple[bool, float]:
+        for answer in answers:
+            if name in (answer.parent, answer.child) and answer.result is not None:
+                P = answer.result.covariance
+                assert P is not None  # noqa: S101 - for the type checker: see _Task.run
+                # The geometric mean, so that a height that all leave open decides nothing.
+                values = np.maximum(np.linalg.eigvalsh(P), 1e-30)
+                return config.of(name).scale == 'free', float(np.mean(np.log(values)))
+        return True, np.inf
+    return sorted(names[1:], key=badness)[:_HUBS]
+
+
+def _component(name: str, answers: Sequence[PairAnswer]) -> frozenset[str]:
+    """Return the sensors that answered pairs connect with one."""
+    reached = {name}
+    while True:
+        more = {
+            other for answer in answers if answer.result is not None
+            for one, other in ((answer.parent, answer.child), (answer.child, answer.parent))
+            if one in reached} - reached
+        if not more:
+            return frozenset(reached)
+        reached |= more
+
+
+def _oriented(
+    pair: tuple[str, str], names: Sequence[str], config: RigConfig,
+) -> tuple[str, str]:
+    parent, child = sorted(pair, key=names.index)
+    if config.of(parent).scale == 'free' and config.of(child).scale != 'free':
+        return child, parent
+    return parent, child
+
+
+def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
+    stride = -(-len(trajectory) // most) if most else 1
+    if stride == 1:
+        return trajectory
+    return Trajectory(trajectory.stamps_ns[::stride], trajectory.poses[::stride],
+                      trajectory.world_frame, trajectory.sensor_frame)
+
+
+def _run(task: _Task) -> PairAnswer:
+    return task.run()
+
+
+_Map = Callable[[Callable[[_Task], PairAnswer], Sequence[_Task]], Iterator[PairAnswer]]
+
+
+@contextmanager
+def _mapper(tasks: Sequence[_Task], processes: int) -> Iterator[_Map]:
+    """Yield a map over tasks: in processes where that is faster, else here."""
+    work = sum(min(len(task.a), len(task.b)) for task in tasks)
+    count = min(processes or os.cpu_count() or 1, len(tasks))
+    # A forked process needs no second import, and a script no guard of its main module.
+    if count < 2 or sys.platform != 'linux' or (not processes and work < _WORTH_PROCESSES):
+        yield map
+        return
+    with warnings.catch_warnings():
+        # The threads that Python sees are those of the linear algebra, which survives a fork.
+        warnings.simplefilter('ignore', DeprecationWarning)
+        with ProcessPoolExecutor(count, multiprocessing.get_context('fork')) as pool:
+            yield pool.map

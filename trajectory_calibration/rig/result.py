@@ -1,0 +1,333 @@
+"""The rig, with everything needed to judge it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import CalibrationError, ResultError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.noise import SensorNoise
+from trajectory_calibration.rig.settings import RigConfig
+from trajectory_calibration.rig.shared_noise import twist_to_step
+from trajectory_calibration.version import __version__
+
+# Raised when a key of the saved form changes its meaning.
+RIG_FORMAT_VERSION = 1
+
+COMPONENTS = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
+
+
+@dataclass(frozen=True, eq=False)
+class SensorAnswer:
+    """One sensor of the rig.
+
+    Attributes
+    ----------
+    name, frame : of the sensor, and of its frame.
+    base : name of the sensor whose frame its pose is in: the root of its tree.
+    T_base_sensor : (4, 4), metres.
+    covariance : (6, 6), order and side as in ``CalibrationResult``; zero of a root.
+    status : 'observed', 'weak', 'unobserved', or 'prior' where only the prior knows, of x, y, z,
+        rotation x, y, z.
+    scale, scale_std : metres of the base per metre of the sensor.
+    clock : of the sensor.
+    noise : of the sensor, or None where nothing tells.
+    poses : of its trajectory; 0 where the rig was made of results.
+
+    """
+
+    name: str
+    frame: str
+    base: str
+    T_base_sensor: FloatArray
+    covariance: FloatArray
+    status: Mapping[str, str]
+    scale: float = 1.0
+    scale_std: float = 0.0
+    clock: Clock = field(default_factory=Clock)
+    noise: SensorNoise | None = None
+    poses: int = 0
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """Return the components that the motion leaves open."""
+        return tuple(name for name in COMPONENTS if self.status.get(name) == 'unobserved')
+
+
+@dataclass(frozen=True, eq=False)
+class PairReport:
+    """One pair beside the rig.
+
+    Attributes
+    ----------
+    parent, child : names.
+    failure : why there is no answer, or empty.
+    residual : (6,), its answer less the rig's, order as a covariance; NaN without an answer.
+    std : (6,), what the pair states.
+    chi_squared : of the residual, six degrees of freedom; NaN where no other pair checks it.
+    poses : pairs of poses.
+    used : whether it has part in the answer.
+
+    """
+
+    parent: str
+    child: str
+    failure: str = ''
+    residual: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    std: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    chi_squared: float = float('nan')
+    poses: int = 0
+    used: bool = True
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A sensor that does not fit the others.
+
+    Attributes
+    ----------
+    sensor : its name.
+    kind : 'moved', 'clock', 'loops', 'vehicle', 'prior' or 'time'.
+    text : what was found, and what to do.
+    chi_squared, degrees, p_value : of the test, where there is one.
+    left_out : whether the sensor is not part of the answer.
+
+    """
+
+    sensor: str
+    kind: str
+    text: str
+    chi_squared: float | None = None
+    degrees: int | None = None
+    p_value: float | None = None
+    left_out: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class RigResult:
+    """One consistent rig.
+
+    Attributes
+    ----------
+    base : name of the base.
+    sensors : by name, the base first; a sensor without an answer is not among them.
+    covariance : (6 M, 6 M), of ``free`` in its order, each sensor as in ``CalibrationResult``.
+    free : (M,) names of the sensors that are no root of a tree.
+    pairs : every pair that was tried.
+    contradictions : sensors that do not fit, the worst first.
+    chi_squared, degrees, p_value : of all loops.
+    findings : what a person or a program should know, worst first.
+    config : the settings.
+    version : of the package.
+
+    """
+
+    base: str
+    sensors: Mapping[str, SensorAnswer]
+    covariance: FloatArray
+    free: tuple[str, ...]
+    pairs: tuple[PairReport, ...]
+    contradictions: tuple[Contradiction, ...]
+    chi_squared: float
+    degrees: int
+    p_value: float
+    findings: tuple[Finding, ...]
+    config: RigConfig
+    version: str = __version__
+
+    @property
+    def trees(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of the sensors of each tree, by its base."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name, sensor in self.sensors.items():
+            found[sensor.base] = (*found.get(sensor.base, ()), name)
+        return found
+
+    @property
+    def unobserved(self) -> dict[str, tuple[str, ...]]:
+        """Return the open components of the sensors that have some."""
+        return {name: sensor.unobserved for name, sensor in self.sensors.items()
+                if sensor.unobserved}
+
+    def transform(self, parent: str, child: str) -> FloatArray:
+        """Return (4, 4) the pose of one sensor in another; round every loop it is the identity.
+
+        Raises
+        ------
+        ResultError
+            A sensor that is not part of the answer, or two of different trees.
+
+        """
+        a, b = self._both(parent, child)
+        return se3.inverse(a.T_base_sensor) @ b.T_base_sensor
+
+    def covariance_of(self, parent: str, child: str) -> FloatArray:
+        """Return (6, 6) of ``transform``, about the fixed axes of the parent."""
+        a, b = self._both(parent, child)
+        L = twist_to_step(a.T_base_sensor, b.T_base_sensor)
+        rows = np.zeros((6, len(self.covariance)))
+        for sensor, sign in ((a, -1.0), (b, 1.0)):
+            if sensor.name in self.free:
+                k = 6 * self.free.index(sensor.name)
+                # A step of the sensor in the base as a twist about the base.
+                step = twist_to_step(np.eye(4), sensor.T_base_sensor)
+                rows[:, k:k + 6] += sign * L @ np.linalg.inv(step)
+        covariance: FloatArray = rows @ self.covariance @ rows.T
+        return covariance
+
+    def _both(self, parent: str, child: str) -> tuple[SensorAnswer, SensorAnswer]:
+        for name in (parent, child):
+            if name not in self.sensors:
+                raise ResultError(f'sensor {name} is not part of the rig; it has '
+                                  f'{", ".join(self.sensors)}')
+        a, b = self.sensors[parent], self.sensors[child]
+        if a.base != b.base:
+            raise ResultError(f'{parent} and {child} have no common motion: the first is in the '
+                              f'tree of {a.base}, the second in that of {b.base}')
+        return a, b
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON or YAML."""
+        return {
+            'rig_format_version': RIG_FORMAT_VERSION,
+            'package_version': self.version,
+            'base': self.base,
+            'sensors': {name: _sensor_to_dict(sensor) for name, sensor in self.sensors.items()},
+            'covariance_of': list(self.free),
+            'covariance': self.covariance.tolist(),
+            'chi_squared': self.chi_squared,
+            'degrees_of_freedom': self.degrees,
+            'p_value': self.p_value,
+            'pairs': [_pair_to_dict(pair) for pair in self.pairs],
+            'contradictions': [asdict(item) for item in self.contradictions],
+            'findings': [found.to_dict() for found in self.findings],
+            'config': self.config.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> RigResult:
+        """Build a rig from what ``to_dict`` gave; raises ResultError."""
+        try:
+            if data['rig_format_version'] != RIG_FORMAT_VERSION:
+                raise ResultError(
+                    f'rig_format_version is {data["rig_format_version"]}, needed '
+                    f'{RIG_FORMAT_VERSION}; install the version that wrote it')
+            sensors = {str(name): _sensor_from_dict(str(name), item)
+                       for name, item in data['sensors'].items()}
+            free = tuple(map(str, data['covariance_of']))
+            covariance = _finite(data['covariance'], (6 * len(free), 6 * len(free)))
+            return cls(
+                base=str(data['base']), sensors=sensors, covariance=covariance, free=free,
+                pairs=tuple(_pair_from_dict(item) for item in data['pairs']),
+                contradictions=tuple(Contradiction(**item) for item in data['contradictions']),
+                chi_squared=float(data['chi_squared']),
+                degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
+                findings=tuple(map(Finding.from_dict, data['findings'])),
+                config=RigConfig.from_dict(data['config']),
+                version=str(data['package_version']))
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            if isinstance(error, CalibrationError):
+                raise ResultError(f'not a rig: {error}') from error
+            raise ResultError(f'not a rig: {type(error).__name__}: {error}; needed what this '
+                              'package saved') from error
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write YAML, whole or not at all; raises ResultError."""
+        write_yaml(Path(path), self.to_dict())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> RigResult:
+        """Read what ``save`` wrote; raises ResultError."""
+        data = read_yaml(Path(path), 'a rig', ResultError)
+        if not isinstance(data, dict):
+            raise ResultError(f'{path} holds no rig; needed what save() wrote')
+        return cls.from_dict(data)
+
+
+def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
+    """Return the status of each component of a (6, 6) covariance under the settings' limits."""
+    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    std[3:] = np.rad2deg(std[3:])
+    weak = (config.weak_translation, config.weak_rotation)
+    unobserved = (config.unobserved_translation, config.unobserved_rotation)
+    return {
+        name: ('unobserved' if std[k] > unobserved[k >= 3] else
+               'weak' if std[k] > weak[k >= 3] else 'observed')
+        for k, name in enumerate(COMPONENTS)}
+
+
+def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
+    array = np.array(values, dtype=np.float64).reshape(shape)
+    if not np.isfinite(array).all():
+        raise ValueError('a covariance has numbers that are not finite')
+    return array
+
+
+def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
+    return {
+        'frame': sensor.frame,
+        'base': sensor.base,
+        'T_base_sensor': {
+            'translation': sensor.T_base_sensor[:3, 3].tolist(),
+            'rotation_xyzw': se3.rotation_to_quaternion(sensor.T_base_sensor[:3, :3]).tolist(),
+        },
+        'covariance': sensor.covariance.tolist(),
+        'status': dict(sensor.status),
+        'scale': sensor.scale,
+        'scale_std': sensor.scale_std,
+        'clock': asdict(sensor.clock),
+        'noise': None if sensor.noise is None else asdict(sensor.noise),
+        'poses': sensor.poses,
+    }
+
+
+def _sensor_from_dict(name: str, data: Mapping[str, Any]) -> SensorAnswer:
+    pose = data['T_base_sensor']
+    quaternion = np.array(pose['rotation_xyzw'], dtype=np.float64)
+    translation = np.array(pose['translation'], dtype=np.float64)
+    norm = float(np.linalg.norm(quaternion))
+    if quaternion.shape != (4,) or translation.shape != (3,) or not abs(norm - 1) < 0.01:
+        raise ValueError(f'the pose of {name} is none')
+    return SensorAnswer(
+        name=name, frame=str(data['frame']), base=str(data['base']),
+        T_base_sensor=se3.from_rotation_translation(
+            se3.quaternion_to_rotation(quaternion / norm), translation),
+        covariance=_finite(data['covariance'], (6, 6)),
+        status={str(key): str(value) for key, value in data['status'].items()},
+        scale=float(data['scale']), scale_std=float(data['scale_std']),
+        clock=Clock(**data['clock']),
+        noise=None if data['noise'] is None else SensorNoise(**data['noise']),
+        poses=int(data['poses']))
+
+
+def _pair_to_dict(pair: PairReport) -> dict[str, Any]:
+    def plain(values: FloatArray) -> list[float] | None:
+        return values.tolist() if np.isfinite(values).all() else None
+    return {
+        'parent': pair.parent, 'child': pair.child, 'failure': pair.failure,
+        'residual': plain(pair.residual), 'std': plain(pair.std),
+        'chi_squared': pair.chi_squared if np.isfinite(pair.chi_squared) else None,
+        'poses': pair.poses, 'used': pair.used,
+    }
+
+
+def _pair_from_dict(data: Mapping[str, Any]) -> PairReport:
+    def array(values: Any) -> FloatArray:
+        return np.full(6, np.nan) if values is None else np.array(values, dtype=np.float64)
+    chi_squared = data['chi_squared']
+    return PairReport(
+        parent=str(data['parent']), child=str(data['child']), failure=str(data['failure']),
+        residual=array(data['residual']), std=array(data['std']),
+        chi_squared=float('nan') if chi_squared is None else float(chi_squared),
+        poses=int(data['poses']), used=bool(data['used']))

@@ -1,0 +1,152 @@
+"""What is known of a rig before it drives, and how it is calibrated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+from trajectory_calibration.config.prior import parse_prior, Prior
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import ConfigError
+
+SCALES = ('metric', 'free')
+PAIRS = ('auto', 'all', 'base')
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """What is known of one sensor.
+
+    Attributes
+    ----------
+    scale : 'metric', or 'free' for a monocular camera, whose unit of length is found.
+    frame : name of the sensor's frame in what is exported; empty: that of the trajectory.
+    prior_translation, prior_translation_std, prior_rotation, prior_rotation_std : the pose in the
+        base, as the settings of the same names of ``CalibrationConfig``; deviations of 0 fix it.
+
+    """
+
+    scale: str = 'metric'
+    frame: str = ''
+    prior_translation: str = ''
+    prior_translation_std: str = ''
+    prior_rotation: str = ''
+    prior_rotation_std: str = ''
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                # YAML makes a number of 0.01.
+                object.__setattr__(self, item.name, str(value))
+            elif not isinstance(value, str):
+                raise ConfigError(f'{item.name} is {value!r}, needed a text')
+        _require_one_of('scale', self.scale, SCALES)
+        _ = self.prior
+
+    @property
+    def prior(self) -> Prior:
+        """Return what is known of the pose in the base."""
+        return parse_prior(self.prior_translation, self.prior_translation_std,
+                           self.prior_rotation, self.prior_rotation_std)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], name: str) -> SensorSettings:
+        """Build settings of the sensor ``name``; unknown keys raise ConfigError."""
+        _require_known(values, [item.name for item in fields(cls)], f'sensor {name}')
+        try:
+            return cls(**values)
+        except ConfigError as error:
+            raise ConfigError(f'sensor {name}: {error}') from error
+
+
+@dataclass(frozen=True)
+class RigConfig:
+    """How a rig is calibrated.
+
+    Attributes
+    ----------
+    base : name of the sensor whose frame is the rig's; empty: the first.
+    sensors : by name; those that are not listed have the defaults.
+    pairs : which pairs are calibrated: 'all', those with the 'base', or (auto) all of up to four
+        sensors, and of more those with the base and with the two surest others.
+    leave_out_contradicting : whether a sensor that contradicts the others is left out of the
+        answer; otherwise it is answered, and has no influence on the others.
+    max_poses : most poses of each trajectory that a pair of three sensors or more uses; 0: all.
+    processes : of this machine that calibrate pairs; 0: one for each core, where it pays.
+    calibration : settings of every pair.
+
+    """
+
+    base: str = ''
+    sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
+    pairs: str = 'auto'
+    leave_out_contradicting: bool = False
+    max_poses: int = 0
+    processes: int = 0
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+
+    def __post_init__(self) -> None:
+        _require_one_of('pairs', self.pairs, PAIRS)
+        for name in ('max_poses', 'processes'):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                raise ConfigError(f'{name} is {value!r}, needed a whole number from 0 up')
+        if not isinstance(self.leave_out_contradicting, bool):
+            raise ConfigError(
+                f'leave_out_contradicting is {self.leave_out_contradicting!r}, needed true or '
+                'false')
+        if not isinstance(self.base, str):
+            raise ConfigError(f'base is {self.base!r}, needed the name of a sensor')
+        if self.calibration.prior.given:
+            raise ConfigError('a rig has a prior for each sensor, not one for all; write '
+                              'prior_translation and the others below the sensor')
+
+    def of(self, name: str) -> SensorSettings:
+        """Return the settings of one sensor."""
+        return self.sensors.get(name, SensorSettings())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return names and values, ready for YAML or JSON."""
+        return {
+            'base': self.base,
+            'sensors': {name: asdict(sensor) for name, sensor in self.sensors.items()},
+            'pairs': self.pairs,
+            'leave_out_contradicting': self.leave_out_contradicting,
+            'max_poses': self.max_poses,
+            'processes': self.processes,
+            'calibration': self.calibration.to_dict(),
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> RigConfig:
+        """Build a configuration from plain data; unknown keys raise ConfigError."""
+        _require_known(values, [item.name for item in fields(cls)], 'the rig')
+        given = dict(values)
+        if 'sensors' in given:
+            sensors = _mapping(given['sensors'], 'sensors')
+            given['sensors'] = {
+                str(name): SensorSettings.from_dict(_mapping(value or {}, f'sensor {name}'), name)
+                for name, value in sensors.items()}
+        if 'calibration' in given:
+            given['calibration'] = CalibrationConfig.from_dict(
+                _mapping(given['calibration'] or {}, 'calibration'))
+        return cls(**given)
+
+
+def _mapping(value: Any, name: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f'{name} is {value!r}, needed lines of names and values')
+    return value
+
+
+def _require_known(values: Mapping[str, Any], known: list[str], where: str) -> None:
+    for key in values:
+        if key not in known:
+            raise ConfigError(f'key {key!r} of {where} is unknown; known are {", ".join(known)}')
+
+
+def _require_one_of(name: str, value: Any, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ConfigError(f'{name} is {value!r}, needed one of {", ".join(known)}')

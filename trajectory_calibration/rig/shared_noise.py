@@ -1,0 +1,201 @@
+"""How much the answers of pairs err together.
+
+The noise of sensor 2 is in the pairs 1-2 and 2-3. Each pair is taken as the estimating equation
+``sum J^T K_ij (d_j - d_i) = 0`` over the common windows (``windows.py``), weighted with the noise
+of its own two sensors, ``K_ij = (N_i + N_j)^-1``. Its answer then errs by ``H_ij^-1`` times that
+sum, and the errors of two pairs have the covariance
+
+``M_ij,kl = H_ij^-1 [ sum J^T K_ij (+-N of the sensors that both hold) K_kl J ] H_kl^-1``
+
+over the windows that both pairs see. What a pair's own solver states of its answer is kept: M is
+carried to the stated covariances by ``B M B^T``, with B the geometric mean of the stated
+covariance and the inverse of M, which changes M as little as possible.
+
+A part of each pair's error may be its own, from interpolation or another choice of jumps:
+``(1 - own) C + own diag(P)``; ``own = 1`` calls the pairs independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.rig.windows import Level, SCALE, UNKNOWNS
+
+# Standard deviations of what no motion tells: metres, radians, seconds, log scale.
+_UNTOLD = (30.0, 1.0, 0.05, 0.03)
+_UNTOLD_FREE_SCALE = 1.0
+
+# Smallest variance relative to the largest, where a stated covariance is singular.
+_SINGULAR = 1e-14
+
+
+def joint_covariance(
+    levels: Sequence[Level],
+    noise: FloatArray,
+    pairs: Sequence[tuple[int, int]],
+    free_scale: Sequence[bool],
+) -> FloatArray:
+    """Return M, the (P, 8, P, 8) covariance of the answers of pairs, as their noise has it.
+
+    Parameters
+    ----------
+    levels : of T lengths.
+    noise : (T, S, 6, 6)
+        Covariance of the differences of each sensor.
+    pairs : (P,) of two sensors each.
+    free_scale : (S,), whether a sensor has a unit of its own.
+
+    """
+    i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    # +1: the sensor is the child; -1: it is the parent.
+    role = np.zeros((noise.shape[1], len(i)))
+    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
+    # What nothing tells is zero give or take, and that too belongs to the sensors.
+    untold = np.zeros((noise.shape[1], UNKNOWNS))
+    untold[:] = np.repeat(_UNTOLD, (3, 3, 1, 1))**2
+    untold[np.array(free_scale, dtype=np.bool_), SCALE] = _UNTOLD_FREE_SCALE**2
+    prior = 1.0 / (untold[i] + untold[j])
+    bread = np.zeros((len(i), UNKNOWNS, UNKNOWNS))
+    bread[:, range(UNKNOWNS), range(UNKNOWNS)] = prior
+    meat = np.zeros((len(i), UNKNOWNS, len(i), UNKNOWNS))
+    weighted = prior[:, None] * prior[None] * np.einsum('sp,sq,sa->pqa', role, role, untold)
+    for a in range(UNKNOWNS):
+        meat[:, a, :, a] = weighted[:, :, a]
+    for level, N in zip(levels, noise, strict=True):
+        _add_level(bread, meat, level, N, (i, j), role)
+    inverse = np.linalg.inv(bread)
+    return np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
+
+
+def _add_level(
+    bread: FloatArray, meat: FloatArray, level: Level, N: FloatArray, ends: tuple[FloatArray, ...],
+    role: FloatArray,
+) -> None:
+    i, j = ends
+    K = np.linalg.inv(N[i] + N[j])
+    # Windows that the same sensors cover are summed at once.
+    patterns, which = np.unique(level.known.T, axis=0, return_inverse=True)
+    for p, pattern in enumerate(patterns):
+        seen = np.flatnonzero(pattern[i] & pattern[j])
+        if not len(seen):
+            continue
+        J = level.jacobian[which.ravel() == p]
+        # [a, b, c, d]: sum of J[c, a] J[d, b] over the windows.
+        products = np.einsum('wca,wdb->abcd', J, J, optimize=True).reshape(UNKNOWNS**2, 36)
+        W = K[seen]
+        bread[seen] += (W.reshape(-1, 36) @ products.T).reshape(-1, UNKNOWNS, UNKNOWNS)
+        inner = np.zeros((len(seen), len(seen), 6, 6))
+        for s in np.flatnonzero(pattern):
+            of = role[s, seen]
+            mine = np.flatnonzero(of)
+            if len(mine):
+                left = (of[mine, None, None] * W[mine]) @ N[s]
+                right = of[mine, None, None] * W[mine]
+                inner[np.ix_(mine, mine)] += left[:, None] @ right[None]
+        added = (inner.reshape(-1, 36) @ products.T).reshape(
+            len(seen), len(seen), UNKNOWNS, UNKNOWNS)
+        all_ = np.arange(UNKNOWNS)
+        meat[np.ix_(seen, all_, seen, all_)] += added.transpose(0, 2, 1, 3)
+
+
+def carried_to_stated(M: FloatArray, stated: FloatArray) -> FloatArray:
+    """Return (P, 6, P, 6): M with the (P, 6, 6) stated covariances as its diagonal blocks."""
+    B = np.stack([_between(M[p, :, p], P) for p, P in enumerate(stated)])
+    C = np.einsum('pab,pbqc,qdc->paqd', B, M, B, optimize=True)
+    for p, P in enumerate(stated):
+        C[p, :, p] = P
+    return C
+
+
+def in_axes_of_parents(
+    M: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
+) -> FloatArray:
+    """Return covariances (P, 6, P, 6) of twists about the base as results state them.
+
+    ``X`` (S, 4, 4) are the sensors in the base.
+    """
+    L = np.stack([twist_to_step(X[i], X[j]) for i, j in pairs])
+    return np.einsum('pab,pbqc,qdc->paqd', L, M, L, optimize=True)
+
+
+def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
+    """Return (6, 6): the step of the pose of j in i (its covariance's order) by a base twist."""
+    T_i_j = se3.inverse(X_i) @ X_j
+    result = se3.adjoint(se3.inverse(X_i))
+    result[:3] -= se3.skew(T_i_j[:3, 3]) @ result[3:]
+    return result
+
+
+def guessed_covariance(
+    stated: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
+) -> FloatArray:
+    """Return (P, 6, P, 6) for pairs of which nothing but the answers is known.
+
+    The variance of a pair is the sum of what its sensors contribute, by least squares; pairs
+    that share a sensor err together by its share, along the same axes.
+    """
+    sensors = len(X)
+    i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    twists = np.stack([np.linalg.inv(twist_to_step(X[a], X[b])) for a, b in pairs])
+    in_base = twists @ stated @ np.swapaxes(twists, 1, 2)
+    size = np.array([_size(P) for P in in_base])
+    rows = np.zeros((len(i), sensors))
+    rows[np.arange(len(i)), i] = rows[np.arange(len(i)), j] = 1.0
+    root = 1.0 / size
+    share = np.linalg.lstsq(
+        np.concatenate([rows * root[:, None], 1e-3 * np.eye(sensors) / np.median(size)]),
+        np.concatenate([np.ones(len(i)), np.full(sensors, 0.5e-3)]), rcond=None)[0]
+    share = np.maximum(share, 0.02 * size.min())
+    role = np.zeros((sensors, len(i)))
+    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
+    total = share[i] + share[j]
+    correlation = np.einsum('sp,sq,s->pq', role, role, share) / np.sqrt(np.outer(total, total))
+    roots = np.stack([L @ _root(P) for L, P in zip(
+        np.linalg.inv(twists), in_base, strict=True)])
+    C = np.einsum('pq,pab,qcb->paqc', correlation, roots, roots)
+    for p, P in enumerate(stated):
+        C[p, :, p] = P
+    return C
+
+
+def with_own_share(C: FloatArray, own: float) -> FloatArray:
+    """Return the (n, n) covariance of all (P, d, P, d) answers with a share of each its own."""
+    pairs, width = C.shape[:2]
+    V = (1.0 - own) * C
+    for p in range(pairs):
+        V[p, :, p] = C[p, :, p]
+    return V.reshape(pairs * width, pairs * width)
+
+
+def _size(P: FloatArray) -> float:
+    """Return how large a (6, 6) covariance is in its well-known directions: a geometric mean."""
+    return float(np.exp(np.mean(np.log(np.maximum(np.linalg.eigvalsh(P), 1e-30)))))
+
+
+def _root(P: FloatArray) -> FloatArray:
+    """Return the symmetric square root of a (d, d) covariance, scaled by its deviations."""
+    scale = np.sqrt(np.maximum(np.diagonal(P), 1e-300))
+    values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
+    return scale[:, None] * (vectors * np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
+
+
+def _between(M: FloatArray, P: FloatArray) -> FloatArray:
+    """Return B with ``B M B^T = P``: the geometric mean of P and the inverse of M, (d, d)."""
+    root = np.linalg.cholesky(regular(M))
+    # P # M^-1 = L^-T (L^T P L)^1/2 L^-1 with M = L L^T.
+    inner = root.T @ regular(P) @ root
+    values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
+    half = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return np.linalg.solve(root.T, np.linalg.solve(root.T, half.T).T)
+
+
+def regular(P: FloatArray) -> FloatArray:
+    """Return a (d, d) covariance, symmetric and with no variance of zero."""
+    scale = np.sqrt(np.maximum(np.diagonal(P), 1e-24))
+    values, vectors = np.linalg.eigh(0.5 * (P + P.T) / np.outer(scale, scale))
+    values = np.maximum(values, _SINGULAR * len(P))
+    return (scale[:, None] * vectors * values) @ (scale[:, None] * vectors).T

@@ -1,0 +1,205 @@
+"""One connected tree of sensors: from the answers of its pairs to consistent poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.fusion import fuse, fuse_numbers, Fused, spanning_start
+from trajectory_calibration.rig.noise import (
+    covariances,
+    pair_squares,
+    sensor_variances,
+    SensorNoise,
+    white_and_drift,
+)
+from trajectory_calibration.rig.shared_noise import (
+    carried_to_stated,
+    guessed_covariance,
+    in_axes_of_parents,
+    joint_covariance,
+)
+from trajectory_calibration.rig.windows import (
+    CLOCK,
+    common_grid,
+    Grid,
+    Level,
+    levels_of,
+    SCALE,
+    Track,
+    TWIST,
+)
+
+# Fewer lengths of windows than this tell no noise.
+_FEWEST_LEVELS = 3
+
+# Standard deviation, seconds, of a clock offset, which no result states.
+_CLOCK_STD_S = 1e-3
+
+# Of a scale that was not looked for, relative to one that was.
+_KNOWN_SCALE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """The answer of two sensors of a tree, by their numbers."""
+
+    parent: int
+    child: int
+    result: CalibrationResult
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Sensors that pairs connect; the first is the base.
+
+    Attributes
+    ----------
+    names : (S,).
+    pairs : (P,).
+    clocks : (S,).
+    scales, scale_stds : (S,), metres of the base per metre of the sensor.
+    answers : (P, 4, 4), in metres of the base.
+    C : (P, 6, P, 6), joint covariance of the answers.
+    levels, noise, grid : what the common windows say, or nothing without trajectories.
+    sensor_noise : (S,), or nothing.
+
+    """
+
+    names: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    clocks: tuple[Clock, ...]
+    scales: FloatArray
+    scale_stds: FloatArray
+    answers: FloatArray
+    C: FloatArray
+    start: FloatArray
+    levels: tuple[Level, ...] = ()
+    noise: FloatArray | None = None
+    grid: Grid | None = None
+    sensor_noise: tuple[SensorNoise, ...] = ()
+
+    @property
+    def ends(self) -> list[tuple[int, int]]:
+        """Return parent and child of each pair."""
+        return [(pair.parent, pair.child) for pair in self.pairs]
+
+    def fuse(
+        self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
+    ) -> Fused:
+        """Return consistent poses, in which the ``doubted`` sensors have no say about others."""
+        trust = np.array([
+            not doubted & {pair.parent, pair.child} for pair in self.pairs], dtype=np.bool_)
+        return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trust)
+
+
+def build_tree(
+    names: Sequence[str],
+    pairs: Sequence[Pair],
+    trajectories: Mapping[str, Trajectory],
+    free_scale: Sequence[bool],
+    max_gap_ns: int,
+) -> Tree:
+    """Return the tree of sensors ``names`` (the base first), which ``pairs`` connect.
+
+    ``trajectories`` may be empty: then what the pairs share is guessed from what they state.
+    """
+    ends = [(pair.parent, pair.child) for pair in pairs]
+    sensors = len(names)
+    stated = np.stack([_stated(pair.result) for pair in pairs])
+    raw = np.stack([pair.result.T_a_b for pair in pairs])
+    start = spanning_start(sensors, ends, raw, stated)
+    epoch_ns = _epoch(trajectories, names, pairs)
+    given = np.eye(len(pairs))
+    clocks = _clocks(sensors, pairs, given * _CLOCK_STD_S**2, epoch_ns)
+    logs = np.log([pair.result.scale for pair in pairs])
+    scales = np.exp(fuse_numbers(
+        sensors, ends, logs, np.diag(np.where(logs == 0.0, _KNOWN_SCALE**2, 1.0)))[0])
+    answers, stated = _in_base_metres(raw, stated, scales, ends)
+    start = spanning_start(sensors, ends, answers, stated)
+    levels: list[Level] = []
+    grid = None
+    if all(name in trajectories for name in names):
+        grid = common_grid([
+            _carried(trajectories[name], clock, scale, X)
+            for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
+            max_gap_ns)
+        levels = levels_of(grid)
+    if len(levels) < _FEWEST_LEVELS:
+        return Tree(tuple(names), tuple(pairs), clocks, scales, np.zeros(sensors), answers,
+                    guessed_covariance(stated, start, ends), start)
+    squares, counts = pair_squares(levels)
+    variances = sensor_variances(
+        squares, counts, np.linalg.norm(start[:, :3, 3], axis=1))
+    noise = covariances(variances, start)
+    M = joint_covariance(levels, noise, ends, free_scale)
+    C = carried_to_stated(in_axes_of_parents(M[:, TWIST][:, :, :, TWIST], start, ends), stated)
+    # The solvers state more or less than the windows have: clocks and scales follow them.
+    clocks = _clocks(sensors, pairs, M[:, CLOCK, :, CLOCK], epoch_ns)
+    # Where no scale was looked for, it is as known as the unit of the sensors.
+    looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
+    logs_of, stds = fuse_numbers(
+        sensors, ends, logs, M[:, SCALE, :, SCALE] * np.outer(looked, looked))
+    step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9 if grid is not None else 1.0
+    return Tree(
+        tuple(names), tuple(pairs), clocks, np.exp(logs_of),
+        np.where(logs.any(), np.exp(logs_of) * stds, 0.0), answers, C, start, tuple(levels),
+        noise, grid, tuple(white_and_drift(levels, variances, step_s)))
+
+
+def _stated(result: CalibrationResult) -> FloatArray:
+    return np.eye(6) if result.covariance is None else np.asarray(result.covariance)
+
+
+def _in_base_metres(
+    raw: FloatArray, stated: FloatArray, scales: FloatArray, ends: Sequence[tuple[int, int]],
+) -> tuple[FloatArray, FloatArray]:
+    """Return answers and covariances, which are in metres of the parents, in those of the base."""
+    answers, P = raw.copy(), stated.copy()
+    for p, (i, _) in enumerate(ends):
+        answers[p, :3, 3] *= scales[i]
+        P[p, :3] *= scales[i]
+        P[p, :, :3] *= scales[i]
+    return answers, P
+
+
+def _carried(
+    trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray,
+) -> Track:
+    poses = trajectory.scaled(float(scale)).poses
+    return Track(clock.apply(trajectory.stamps_ns), poses @ se3.inverse(X))
+
+
+def _epoch(
+    trajectories: Mapping[str, Trajectory], names: Sequence[str], pairs: Sequence[Pair],
+) -> int:
+    """Return a stamp near which the clocks are compared."""
+    if names[0] in trajectories:
+        stamps_ns = trajectories[names[0]].stamps_ns
+        return int(stamps_ns[len(stamps_ns) // 2])
+    return next((pair.result.clock_drift_from_ns for pair in pairs if pair.result.clock_drift), 0)
+
+
+def _clocks(
+    sensors: int, pairs: Sequence[Pair], V: FloatArray, epoch_ns: int,
+) -> tuple[Clock, ...]:
+    """Return the clock of each sensor against the base, consistent round every loop."""
+    ends = [(pair.parent, pair.child) for pair in pairs]
+    results = [pair.result for pair in pairs]
+    offsets, stds = fuse_numbers(sensors, ends, np.array([
+        result.time_offset_s + (result.clock_drift * (epoch_ns - result.clock_drift_from_ns) * 1e-9
+                                if result.clock_drift else 0.0)
+        for result in results]), V)
+    drifts = fuse_numbers(
+        sensors, ends, np.array([result.clock_drift for result in results]), V)[0]
+    return tuple(
+        Clock(float(offset), float(drift), epoch_ns, float(std))
+        for offset, drift, std in zip(offsets, drifts, stds, strict=True))

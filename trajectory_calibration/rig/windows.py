@@ -1,0 +1,206 @@
+"""What every sensor says of the same stretches of time.
+
+All tracks are carried into the base and sampled on one grid. Each window of a dyadic grid (2, 4,
+8 ... samples) is halved. A sensor that drifts sees its two halves apart: the *difference* of a
+window is the step from where the first half says that the base is at the middle to where the
+second half says so, against a reference track, as a twist (rho, phi) in the frame of the base.
+These are Haar's wavelets: the differences of one length are uncorrelated with those of another
+for white noise, and nearly so for a random walk, and together they hold all that the track says
+about an extrinsic (A. Haar, Math. Ann. 69, 1910, doi:10.1007/BF01456326).
+
+The reference track cancels in what two sensors differ by, so it need not be good.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.interpolation import interpolate
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Columns of a jacobian: the twist of an extrinsic, the clock (s), the log scale.
+TWIST, CLOCK, SCALE, UNKNOWNS = slice(0, 6), 6, 7, 8
+
+# More samples of the grid than this change no covariance.
+_MOST_SAMPLES = 8192
+
+# Both halves of a window hold at least this share of a sensor's samples, or the window has none.
+_COVERED = 0.7
+
+# Fewer windows of a length than this do not tell its noise.
+_FEWEST_WINDOWS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """All windows of one length.
+
+    Attributes
+    ----------
+    seconds : from the middle of the first half to the middle of the second.
+    metres : driven in that time, on average.
+    differences : (S, W, 6), of each sensor and window, base frame, metres and radians.
+    jacobian : (W, 6, 8), of a difference by a step of the unknowns of its sensor.
+    known : (S, W), whether the sensor covers the window.
+    first, last : (W,), samples of the grid where the windows begin and end.
+
+    """
+
+    seconds: float
+    metres: float
+    differences: FloatArray
+    jacobian: FloatArray
+    known: NDArray[np.bool_]
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One sensor in the clock and unit of the base, (N,) nanoseconds and (N, 4, 4) poses."""
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """All sensors carried into the base, at common times.
+
+    Attributes
+    ----------
+    stamps_ns : (K,).
+    poses : (S, K, 4, 4), the base in the world of each sensor; identity where unknown.
+    known : (S, K).
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    known: NDArray[np.bool_]
+
+
+def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
+    """Sample (S,) tracks, which are carried into the base, from the first pose to the last."""
+    begin = min(int(track.stamps_ns[0]) for track in tracks)
+    end = max(int(track.stamps_ns[-1]) for track in tracks)
+    step = float(np.median([np.median(np.diff(track.stamps_ns)) for track in tracks]))
+    count = int(np.clip((end - begin) / step + 1, 2, _MOST_SAMPLES))
+    stamps_ns = np.linspace(begin, end, count).astype(np.int64)
+    poses = np.broadcast_to(np.eye(4), (len(tracks), count, 4, 4)).copy()
+    known = np.zeros((len(tracks), count), dtype=np.bool_)
+    for s, track in enumerate(tracks):
+        inside = (stamps_ns >= track.stamps_ns[0]) & (stamps_ns <= track.stamps_ns[-1])
+        right = np.clip(np.searchsorted(track.stamps_ns, stamps_ns), 1, len(track.stamps_ns) - 1)
+        gap = track.stamps_ns[right] - track.stamps_ns[right - 1]
+        known[s] = inside & (gap <= max_gap_ns)
+        if known[s].any():
+            poses[s, known[s]] = interpolate(
+                track.stamps_ns, track.poses, stamps_ns[known[s]], max_gap_ns=max_gap_ns)
+    return Grid(stamps_ns, poses, known)
+
+
+def levels_of(grid: Grid) -> list[Level]:
+    """Return the windows of every length, the shortest first."""
+    reference = _reference(grid)
+    seconds = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
+    step = float(np.median(np.diff(seconds)))
+    jacobian = _jacobian(reference, seconds)
+    # A node: where the base is (its sample of the reference) and what each sensor says of it.
+    at, said = reference, grid.poses.copy()
+    covered = grid.known.astype(np.float64)
+    information = np.broadcast_to(_weights(grid, reference), (len(at), 6, 6)).copy()
+    first = np.arange(len(at))
+    levels: list[Level] = []
+    length = 1
+    while len(at) >= 2 * _FEWEST_WINDOWS:
+        count = len(at) // 2 * 2
+        left, right = slice(0, count, 2), slice(1, count, 2)
+        to_middle = se3.inverse(at[left]) @ at[right]
+        carry = se3.adjoint(se3.inverse(to_middle))
+        from_left = said[:, left] @ to_middle
+        apart = se3.log_se3(se3.inverse(from_left) @ said[:, right])
+        of_left = carry @ jacobian[left]
+        both = (covered[:, left] >= _COVERED) & (covered[:, right] >= _COVERED)
+        levels.append(Level(
+            seconds=length * step,
+            metres=float(np.mean(np.linalg.norm(to_middle[:, :3, 3], axis=1))),
+            differences=np.where(both[:, :, None], apart, 0.0),
+            jacobian=jacobian[right] - of_left,
+            known=both,
+            first=first[left],
+            last=np.minimum(first[left] + 2 * length, len(reference)) - 1))
+        # What both halves know, where the second one begins.
+        carried = se3.adjoint(to_middle)
+        of_first = np.swapaxes(carried, 1, 2) @ information[left] @ carried
+        share = np.linalg.solve(of_first + information[right], information[right])
+        step_to = np.einsum('wij,swj->swi', share, apart)
+        only_right = (covered[:, left] == 0) & (covered[:, right] > 0)
+        only_left = (covered[:, right] == 0) & (covered[:, left] > 0)
+        merged = from_left @ se3.exp_se3(np.where(only_left[:, :, None], 0.0, step_to))
+        said = np.where(only_right[:, :, None, None], said[:, right], merged)
+        jacobian = of_left + share @ (jacobian[right] - of_left)
+        information = of_first + information[right]
+        covered = 0.5 * (covered[:, left] + covered[:, right])
+        at, first = at[right], first[left]
+        length *= 2
+    return levels
+
+
+def _reference(grid: Grid) -> FloatArray:
+    """Return (K, 4, 4) the base in one world: the best covered sensor, its holes filled."""
+    order = np.argsort(-grid.known.sum(axis=1), kind='stable')
+    poses, known = grid.poses[order[0]].copy(), grid.known[order[0]].copy()
+    for s in order[1:]:
+        fillable = grid.known[s] & ~known
+        for start, end in _runs(fillable):
+            # Joined where both are known: at the sample before the hole, or after it.
+            for join in (start - 1, end):
+                if 0 <= join < len(known) and known[join] and grid.known[s, join]:
+                    world = poses[join] @ se3.inverse(grid.poses[s, join])
+                    poses[start:end] = world @ grid.poses[s, start:end]
+                    known[start:end] = True
+                    break
+    # What nobody covers is no window of anybody: any pose will do.
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+    first = int(np.argmax(known))
+    return poses[np.where(last < 0, first, last)]
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def _jacobian(reference: FloatArray, seconds: FloatArray) -> FloatArray:
+    """Return (K, 6, 8): what a step of the unknowns does to a pose, in the frame of the base."""
+    jacobian = np.zeros((len(reference), 6, UNKNOWNS))
+    jacobian[:, :, TWIST] = -np.eye(6)
+    twist = se3.log_se3(se3.inverse(reference[:-1]) @ reference[1:]) / np.diff(seconds)[:, None]
+    # The mean of the steps before and after; of the first and the last, the one there is.
+    padded = np.concatenate([twist[:1], twist, twist[-1:]])
+    jacobian[:, :, CLOCK] = 0.5 * (padded[1:] + padded[:-1])
+    way = reference[:, :3, 3] - reference[len(reference) // 2, :3, 3]
+    jacobian[:, :3, SCALE] = np.einsum('kji,kj->ki', reference[:, :3, :3], way)
+    return jacobian
+
+
+def _weights(grid: Grid, reference: FloatArray) -> FloatArray:
+    """Return (6, 6) the information of one pose: how positions and attitudes compare."""
+    moved = se3.inverse(reference[:-1]) @ reference[1:]
+    squares = np.zeros((0, 6))
+    for poses, known in zip(grid.poses, grid.known, strict=True):
+        both = known[:-1] & known[1:]
+        steps = se3.inverse(poses[:-1][both]) @ poses[1:][both]
+        squares = np.concatenate([
+            squares, se3.log_se3(se3.inverse(moved[both]) @ steps)**2])
+    squares = squares[squares.any(axis=1)]
+    if not len(squares):
+        return np.eye(6)
+    usual = [max(float(np.median(part.sum(axis=1))), 1e-20)
+             for part in (squares[:, :3], squares[:, 3:])]
+    return np.diag(np.repeat(1.0 / np.array(usual), 3))
