@@ -15,6 +15,7 @@ from trajectory_calibration.outputs.report import (
     render_report,
 )
 from trajectory_calibration.outputs.report.data import report_data
+from trajectory_calibration.outputs.report.view3d import upright
 from trajectory_calibration.simulation import SCENARIOS, simulate
 
 _VOID = {'meta', 'link', 'br', 'input', 'path', 'rect', 'circle', 'img', 'hr'}
@@ -216,3 +217,13 @@ def test_notebooks_and_print_show_the_result(drive):
     lines = figure.axes[0].get_lines()
     np.testing.assert_allclose(
         np.column_stack(lines[1].get_data_3d())[0], pair.a.positions[0], atol=0.5)
+
+
+@pytest.mark.parametrize('up', [0, 1, 2])
+def test_tracks_are_shown_upright_and_not_mirrored(up):
+    positions = np.random.default_rng(0).normal(size=(50, 3)) * 10
+    positions[:, up] *= 0.01
+    names, turned = upright(positions)
+    assert names[2].strip('-') == 'xyz'[up]
+    np.testing.assert_allclose(turned @ turned.T, np.eye(3))
+    assert np.linalg.det(turned) == pytest.approx(1)

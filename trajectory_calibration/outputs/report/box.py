@@ -20,7 +20,7 @@ FAR = 3.0
 
 def verdict_box(
     result: CalibrationResult, rows: tuple[Row, ...], verdict: Verdict, copies: str,
-    driven: str = '',
+    facts: str = '',
 ) -> str:
     """Return the box that begins a report, also shown in a notebook."""
     a, b = escape(result.frame_a), escape(result.frame_b)
@@ -49,7 +49,7 @@ def verdict_box(
         '<th scope="col" class="num">± 1 σ</th><th scope="col" class="of-unit"></th>'
         '<th scope="col" class="of-gauge">deviation</th>'
         f'<th scope="col">status</th>{error}</tr></thead>'
-        f'<tbody>{body}</tbody></table></div>{limits}</div>{_facts(result, driven)}</div>'
+        f'<tbody>{body}</tbody></table></div>{limits}</div>{facts}</div>'
         f'<p class="next"><b>Next</b> {escape(verdict.next_step)}</p>{copies}</section>')
 
 
@@ -62,7 +62,8 @@ def _against_truth(rows: tuple[Row, ...]) -> str:
             'truth of these frames?</span>')
 
 
-def _facts(result: CalibrationResult, driven: str) -> str:
+def facts_list(result: CalibrationResult, driven: str) -> str:
+    """Return what the answer was made of, beside it."""
     summary = result.association
     facts = [('driven', driven)] if driven else []
     facts.append(('pose pairs', (f'{result.poses:,} of {summary.poses_a:,} and '

@@ -13,7 +13,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows
 from trajectory_calibration.outputs.report import drawings as draw
-from trajectory_calibration.outputs.report.box import verdict_box
+from trajectory_calibration.outputs.report.box import facts_list, verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
 from trajectory_calibration.outputs.report.copies import copies
 from trajectory_calibration.outputs.report.data import report_data, ReportData
@@ -45,7 +45,8 @@ def render(data: ReportData, record: Record | None = None) -> str:
     """Return the report of what was computed."""
     result = data.result
     box = verdict_box(
-        result, data.rows, judge(result, data.rows), copies(result), _driven(data))
+        result, data.rows, judge(result, data.rows), copies(result),
+        facts_list(result, _driven(data)))
     last = section(6, 'Record', record_cards(
         record or Record(), result.config, _findings(result), result.version))
     return page(
@@ -65,8 +66,10 @@ def render_box(result: CalibrationResult) -> str:
     box = verdict_box(result, rows, judge(result, rows), '')
     # In a frame of its own, so that the style stays inside.
     inside = f'<style>{style()} body{{background:none}}</style><main>{box}</main>'
-    return (f'<iframe srcdoc="{escape(inside)}" style="width:100%;height:430px;border:0" '
-            'title="verdict"></iframe>')
+    # Where the notebook lets it, the frame takes the height of what is inside.
+    fit = 'this.style.height=this.contentDocument.documentElement.scrollHeight+&quot;px&quot;'
+    return (f'<iframe srcdoc="{escape(inside)}" style="width:100%;height:460px;border:0" '
+            f'title="verdict" onload="{fit}"></iframe>')
 
 
 def render_failure(

@@ -59,7 +59,7 @@
           Math.max(box[2], flat[n]), Math.max(box[3], flat[n + 1])];
       }
     }
-    const width = canvas.clientWidth - 56, height = canvas.clientHeight - 76;
+    const width = canvas.clientWidth - 56, height = canvas.clientHeight - 96;
     base = {
       scale: Math.min(width / Math.max(box[2] - box[0], 1), height / Math.max(box[3] - box[1], 1)),
       x: (box[0] + box[2]) / 2, y: (box[1] + box[3]) / 2,
@@ -84,7 +84,7 @@
     context.clearRect(0, 0, width, height);
     context.lineJoin = 'round';
     const place = (flat, n) => [(flat[n] - base.x) * scale + width / 2 + camera.x,
-      (flat[n + 1] - base.y) * scale + height / 2 + camera.y];
+      (flat[n + 1] - base.y) * scale + height / 2 + 12 + camera.y];
     const gaps = new Set(data.gaps);
     for (const [points, name, thick, alpha] of [[data.b, '--b', 3, 0.6], [data.a, '--a', 1.4, 1]]) {
       const flat = project(points);
@@ -139,11 +139,11 @@
     context.stroke();
     context.fillText(bar >= 1 ? `${bar} m` : `${Math.round(bar * 1e4) / 10} mm`, 16, height - 18);
     const [right, up] = axes();
-    ['x', 'y', 'z'].forEach((axis, k) => {
+    data.axes.forEach((axis, k) => {
       const dx = 24 * right[k], dy = -24 * up[k];
       if (Math.hypot(dx, dy) < 4) return;
       const ox = width - 44, oy = height - 40;
-      context.strokeStyle = colour(`--${axis}`);
+      context.strokeStyle = colour(`--${axis.slice(-1)}`);
       context.lineWidth = 2;
       context.beginPath();
       context.moveTo(ox, oy);

@@ -19,7 +19,8 @@ _MOST_JUMPS = 300
 
 def track_view(tracks: Tracks) -> str:
     """Return the view from above, over which a script lays one that can be turned."""
-    a, c = tracks.pairs.poses_a[:, :3, 3], tracks.poses_c[:, :3, 3]
+    names, turned = upright(tracks.pairs.poses_a[:, :3, 3])
+    a, c = (poses[:, :3, 3] @ turned.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
     keep = _kept(tracks)
     both = np.concatenate([a[keep], c[keep]])
     low, high = both.min(axis=0), both.max(axis=0)
@@ -30,11 +31,23 @@ def track_view(tracks: Tracks) -> str:
         'size': size,
         'a': _grid(a[keep], middle, size), 'b': _grid(c[keep], middle, size),
         'jumps': _grid(c[jumps], middle, size),
-        'gaps': gaps.tolist(), 'grid': _GRID,
+        'gaps': gaps.tolist(), 'grid': _GRID, 'axes': names,
     }
     words = json.dumps(numbers, separators=(',', ':'))
     return (f'<div class="view3d" id="view"><div class="static">{_from_above(a, c, tracks)}'
             f'</div><script type="application/json" id="tracks">{words}</script></div>')
+
+
+def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
+    """Return the names of three axes of which the last is up, and the (3, 3) turn to them.
+
+    Up is the axis in which a track is shortest. The world of a camera has y down.
+    """
+    up = int(np.argmin(np.ptp(positions, axis=0)))
+    if up == 1:
+        return ['x', 'z', '-y'], np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    order = [1, 2, 0] if up == 0 else [0, 1, 2]
+    return ['xyz'[k] for k in order], np.eye(3)[order]
 
 
 def _kept(tracks: Tracks) -> FloatArray:
@@ -53,21 +66,21 @@ def _grid(points: FloatArray, middle: FloatArray, size: float) -> list[int]:
 
 
 def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
-    """Draw both tracks along the two axes in which they are longest."""
+    """Draw both tracks, upright, from above."""
     keep = _kept(tracks)
-    extent = np.ptp(a, axis=0)
-    first, second = np.sort(np.argsort(-extent, kind='stable')[:2])
-    both = np.concatenate([a, c])[:, [first, second]]
+    both = np.concatenate([a, c])[:, :2]
     low, high = both.min(axis=0), both.max(axis=0)
     turn = (high - low)[1] > (high - low)[0]
-    axes = [second, first] if turn else [first, second]
-    low, high = (v[::-1] if turn else v for v in (low, high))
+    if turn:
+        # A quarter turn: what is long lies.
+        a, c, both = (np.column_stack([points[:, 1], -points[:, 0]]) for points in (a, c, both))
+        low, high = both.min(axis=0), both.max(axis=0)
     room = np.array([_WIDTH - 2 * _MARGIN, _HEIGHT - 2 * _MARGIN])
     pixels = float(np.min(room / np.maximum(high - low, 1e-9)))
     middle = 0.5 * (low + high)
 
     def place(points: FloatArray) -> FloatArray:
-        found: FloatArray = (points[:, axes] - middle) * [pixels, -pixels] + [
+        found: FloatArray = (points[:, :2] - middle) * [pixels, -pixels] + [
             _WIDTH / 2, _HEIGHT / 2]
         return found
 
@@ -97,15 +110,14 @@ def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
 
 def single_track(positions: FloatArray, style: str) -> str:
     """Draw one track along the two axes in which it is longest."""
-    extent = np.ptp(positions, axis=0)
-    first, second = np.sort(np.argsort(-extent, kind='stable')[:2])
-    points = positions[evenly(len(positions), _POSES)][:, [first, second]]
+    axes, turned = upright(positions)
+    points = (positions[evenly(len(positions), _POSES)] @ turned.T)[:, :2]
     low, high = points.min(axis=0), points.max(axis=0)
     width, height, margin = 360, 240, 18
     room = np.array([width - 2 * margin, height - 2 * margin])
     pixels = float(np.min(room / np.maximum(high - low, 1e-9)))
     drawn = (points - 0.5 * (low + high)) * [pixels, -pixels] + [width / 2, height / 2]
-    names = f'{"xyz"[first]} to the right, {"xyz"[second]} up'
+    names = f'{axes[0]} to the right, {axes[1]} up'
     length = float(ticks(0.0, 0.3 * width / pixels, 2)[-1])
     return drawing(width, height, f'track, {names}', (
         f'<path class="{style}" d="{path(drawn[:, 0], drawn[:, 1])}"/>'
