@@ -7,9 +7,8 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.exports import EXPORTS
-from trajectory_calibration.outputs.extrinsic_file import parse_transform, read_extrinsic
+from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
@@ -86,7 +85,7 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
             continue
         sensor = item.parent if end == 'parent' else item.child
         if text is not None:
-            T_frame_sensor = _transform(text)
+            T_frame_sensor = transform_of(text)
         elif tree is not None:
             T_frame_sensor = tree.transform(frame, sensor)
         else:
@@ -107,12 +106,6 @@ def _require_free(item: Placement, tree: FrameTree) -> None:
         raise ConfigError(
             f'{item.child} already has the parent {present} in {tree.path}, and a link has one; '
             f'give --child {present}, so that {present} is placed in {item.parent}')
-
-
-def _transform(text: str) -> FloatArray:
-    if Path(text.rpartition('#')[0] or text).is_file():
-        return read_extrinsic(text).T_a_b
-    return parse_transform(text)
 
 
 def _write(path: Path, data: bytes, *, force: bool) -> None:

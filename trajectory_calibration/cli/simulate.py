@@ -41,8 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument('--duration', type=float, metavar='S', help='seconds')
     parser.add_argument(
         '--mounting', metavar='TRANSFORM',
-        help='pose of b in a: x,y,z,roll,pitch,yaw (metres, radians) or x,y,z,qx,qy,qz,qw '
-        '(default: drawn from the seed)')
+        help='pose of b in a: x,y,z,roll,pitch,yaw (metres, radians), x,y,z,qx,qy,qz,qw, or a '
+        'file (default: drawn from the seed)')
     for name in 'ab':
         group = parser.add_argument_group(f'sensor {name}')
         group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
@@ -72,8 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = _changed(SCENARIOS[arguments.scenario], arguments)
     mounting = None
     if arguments.mounting is not None:
-        from trajectory_calibration.outputs.extrinsic_file import parse_transform
-        mounting = parse_transform(arguments.mounting)
+        from trajectory_calibration.outputs.extrinsic_file import transform_of
+        mounting = transform_of(arguments.mounting)
     with running_clock('simulating'):
         pair = simulate(scenario, arguments.seed, mounting)
         hint = _write(pair, arguments)

@@ -85,6 +85,22 @@ def read_extrinsic(
     return _from_numbers(lines, file)
 
 
+def transform_of(text: str) -> FloatArray:
+    """Return the (4, 4) pose that a person gave: numbers, or a file that holds it.
+
+    Raises
+    ------
+    ConfigError
+        Neither a file nor six or seven numbers.
+    SourceError
+        The file holds no transform.
+
+    """
+    if Path(text.rpartition('#')[0] or text).is_file():
+        return read_extrinsic(text).T_a_b
+    return parse_transform(text)
+
+
 def parse_transform(text: str) -> FloatArray:
     """Return the (4, 4) pose of six or seven numbers, separated by spaces or commas.
 
