@@ -18,6 +18,7 @@ from trajectory_calibration.cli import (
     inspect,
     replay,
     report,
+    rig,
     simulate,
     verify,
 )
@@ -29,7 +30,7 @@ from trajectory_calibration.version import __version__
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
 _COMMANDS = (
-    calibrate, report, inspect, export, verify, compare, fleet, simulate, replay)
+    calibrate, report, inspect, export, verify, compare, rig, fleet, simulate, replay)
 
 EXIT_DONE = 0
 EXIT_NO_ANSWER = 1

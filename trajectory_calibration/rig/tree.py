@@ -44,6 +44,9 @@ _FEWEST_LEVELS = 3
 # Standard deviation, seconds, of a clock offset, which no result states.
 _CLOCK_STD_S = 1e-3
 
+# A log scale that is rounding of the one that was not looked for.
+_ROUNDING = 1e-5
+
 # Of a scale that was not looked for, relative to one that was.
 _KNOWN_SCALE = 1e-4
 
@@ -148,10 +151,12 @@ def build_tree(
     looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
     logs_of, stds = fuse_numbers(
         sensors, ends, logs, M[:, SCALE, :, SCALE] * np.outer(looked, looked))
+    scales, stds = np.exp(logs_of), np.exp(logs_of) * stds
+    unit = (np.abs(logs_of) < _ROUNDING) & (stds < _ROUNDING)
+    scales[unit], stds[unit] = 1.0, 0.0
     step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9 if grid is not None else 1.0
     return Tree(
-        tuple(names), tuple(pairs), clocks, np.exp(logs_of),
-        np.where(logs.any(), np.exp(logs_of) * stds, 0.0), answers, C, start, tuple(levels),
+        tuple(names), tuple(pairs), clocks, scales, stds, answers, C, start, tuple(levels),
         noise, grid, tuple(white_and_drift(levels, variances, step_s)))
 
 

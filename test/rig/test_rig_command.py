@@ -1,0 +1,254 @@
+"""The subcommand ``rig``: RIG.yaml in; screen, files and page out."""
+
+from html.parser import HTMLParser
+import json
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import calibrate, ConfigError
+from trajectory_calibration.cli.main import main
+from trajectory_calibration.config.yaml_file import read_yaml
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.outputs.frame_tree import FrameTree
+from trajectory_calibration.outputs.rig_exports import placements
+from trajectory_calibration.outputs.rig_report import render_rig
+from trajectory_calibration.outputs.rig_screen import format_rig
+from trajectory_calibration.rig import RigResult
+from trajectory_calibration.rig.description import RigDescription
+from trajectory_calibration.simulation.files import write_bag, write_tum
+from trajectory_calibration.simulation.noise import Noise
+from trajectory_calibration.simulation.paths import flat, Unicycle
+from trajectory_calibration.simulation.rig import Fault, RigScenario, simulate_rig
+from trajectory_calibration.simulation.scenario import Sensor
+
+SLAM = Noise(white=0.003, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
+RIG = """base: lidar
+sensors:
+  lidar: {file: lidar.tum, frame: velodyne}
+  front: {file: front.tum, frame: camera}
+  rear: {file: rear.tum}
+settings: {max_time_offset: 1.0}
+"""
+
+
+def drive(**more):
+    return simulate_rig(RigScenario(
+        {name: Sensor(noise=SLAM) for name in ('lidar', 'front', 'rear')}, 30.0, **more), 1)
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """RIG.yaml, its files, and what the command wrote."""
+    path = tmp_path_factory.mktemp('rig')
+    run = drive()
+    for name, trajectory in run.trajectories.items():
+        write_tum(path / f'{name}.tum', trajectory)
+    (path / 'RIG.yaml').write_text(RIG)
+    status = main(['rig', str(path / 'RIG.yaml'), '--output', str(path / 'out'),
+                   '--report', str(path / 'rig.html')])
+    assert status == 0
+    return path
+
+
+@pytest.fixture(scope='module')
+def rig(folder):
+    return RigResult.load(folder / 'out' / 'rig.yaml')
+
+
+def test_the_rig_is_saved(rig):
+    run = drive()
+    assert list(rig.sensors) == ['lidar', 'front', 'rear']
+    assert rig.sensors['front'].frame == 'camera'
+    step = se3.step_between(run.T_base_sensor['rear'], rig.sensors['rear'].T_base_sensor)
+    assert np.linalg.norm(step[:3]) < 0.03
+
+
+def test_urdf_holds_every_joint(folder, rig):
+    tree = FrameTree.read(folder / 'out' / 'rig.urdf')
+    assert set(tree.joints) == {'camera', 'rear'}
+    np.testing.assert_allclose(
+        tree.joints['camera'].T_parent_child, rig.sensors['front'].T_base_sensor, atol=1e-9)
+    robot = ET.parse(folder / 'out' / 'rig.urdf').getroot()
+    assert [link.get('name') for link in robot.iter('link')] == ['velodyne', 'camera', 'rear']
+
+
+def test_sensor_kit_holds_every_sensor(folder, rig):
+    kit = read_yaml(folder / 'out' / 'sensor_kit_calibration.yaml', 'a kit', ConfigError)
+    assert set(kit['velodyne']) == {'camera', 'rear'}
+    assert kit['velodyne']['rear']['x'] == rig.sensors['rear'].T_base_sensor[0, 3]
+
+
+def test_launch_file_is_python_with_every_transform(folder):
+    text = (folder / 'out' / 'static_transforms.launch.py').read_text()
+    compile(text, 'launch', 'exec')
+    assert text.count("executable='static_transform_publisher'") == 2
+    assert "'--frame-id', 'velodyne'" in text
+
+
+def test_every_sensor_has_all_exports(folder):
+    assert (folder / 'out' / 'camera' / 'extrinsic.urdf').exists()
+    assert (folder / 'out' / 'rear' / 'camchain.yaml').exists()
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.outside = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.outside += [value for name, value in attrs
+                         if name in ('src', 'href') and value.startswith('http')]
+        if tag not in ('meta', 'link', 'input', 'br', 'path', 'circle', 'rect'):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if self.open and self.open[-1] == tag:
+            self.open.pop()
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_is_one_whole_file(folder):
+    text = (folder / 'rig.html').read_text()
+    tags = Tags()
+    tags.feed(text)
+    assert not tags.open
+    assert not tags.outside
+    assert len(text) < 300_000
+    words = ''.join(tags.text)
+    for wanted in ('Rig of 3 sensors in lidar', 'Chi-squared of each pair', 'White noise',
+                   'All tracks from above', 'front from lidar'):
+        assert wanted in words
+
+
+def test_a_page_without_tracks_says_so(rig):
+    assert 'The tracks were not given' in render_rig(rig)
+
+
+def test_the_screen_shows_every_sensor(rig):
+    text = format_rig(rig, verbose=True)
+    assert 'Rig of 3 sensors in lidar' in text
+    assert 'loops close with chi-squared' in text
+    for name in ('front', 'rear', 'lidar - front: ', 'drift'):
+        assert name in text
+
+
+def test_json_is_one_object(folder, capsys):
+    truth = folder / 'out' / 'rig.yaml'
+    assert main(['rig', str(folder / 'RIG.yaml'), '--format', 'json', '--base', 'front']) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data['base'] == 'front'
+    assert data['sensors']['front']['T_base_sensor']['translation'] == [0, 0, 0]
+    assert main(['rig', str(folder / 'RIG.yaml'), '--ground-truth', str(truth)]) == 0
+    assert 'error of rear against the ground truth: 0.0000 m' in capsys.readouterr().out
+
+
+def test_topics_of_a_bag(tmp_path, capsys):
+    write_bag(tmp_path / 'drive', {f'/{k}': v for k, v in drive().trajectories.items()})
+    (tmp_path / 'RIG.yaml').write_text(
+        'sensors:\n  lidar: {topic: /lidar}\n  front: {topic: /front}\n  rear: {topic: /rear}\n')
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--bag', str(tmp_path / 'drive')]) == 0
+    assert 'Rig of 3 sensors in lidar' in capsys.readouterr().out
+
+
+def test_saved_results_make_a_rig(tmp_path, capsys):
+    run = drive()
+    for name in ('front', 'rear'):
+        calibrate(run.trajectories['lidar'], run.trajectories[name]).save(
+            tmp_path / f'{name}.yaml')
+    (tmp_path / 'other.yaml').write_text('no: result\n')
+    assert main(['rig', '--from-results', str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert 'Rig of 3 sensors in lidar' in text
+    # Two pairs with one base share its noise, and close no loop.
+    assert 'loops' not in text
+
+
+def test_open_heights_end_with_status_three(tmp_path, capsys):
+    run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
+    for name, trajectory in run.trajectories.items():
+        write_tum(tmp_path / f'{name}.tum', trajectory)
+    (tmp_path / 'RIG.yaml').write_text(RIG)
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--output', str(tmp_path / 'out'),
+                 '--report', str(tmp_path / 'rig.html')]) == 3
+    text = capsys.readouterr().out
+    assert text.count('unknown') == 3
+    assert 'z of front, rear unobservable' in text
+    assert '(z unknown)' in (tmp_path / 'rig.html').read_text()
+    assert 'UNOBSERVED' in (tmp_path / 'out' / 'static_transforms.launch.py').read_text()
+    assert 'UNOBSERVED' in (tmp_path / 'out' / 'sensor_kit_calibration.yaml').read_text()
+
+
+def test_a_contradicting_sensor_is_named_on_screen_and_page(tmp_path, capsys):
+    run = simulate_rig(RigScenario(
+        {name: Sensor(noise=SLAM) for name in ('lidar', 'front', 'rear', 'odometry')}, 30.0,
+        faults={'rear': Fault(elsewhere=True)}), 1)
+    for name, trajectory in run.trajectories.items():
+        write_tum(tmp_path / f'{name}.tum', trajectory)
+    (tmp_path / 'RIG.yaml').write_text('sensors:\n' + ''.join(
+        f'  {name}: {{file: {name}.tum}}\n' for name in run.trajectories))
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--report', str(tmp_path / 'x.html')]) == 0
+    assert 'serious: rear does not move as the other sensors do' in capsys.readouterr().out
+    assert 'rear (no answer)' in (tmp_path / 'x.html').read_text()
+
+
+@pytest.mark.parametrize(('text', 'message'), [
+    ('base: a\n', 'sensors is needed'),
+    ('1\n', 'holds no rig'),
+    ('sensors:\n  a: {file: x}\n  b: {file: y}\nscale: 1\n', "key 'scale' is unknown"),
+    ('sensors:\n  a: {fil: x}\n  b: {file: y}\n', "key 'fil' of sensor a is unknown"),
+    ('sensors:\n  a: {file: x, topic: /y}\n  b: {file: y}\n', 'sensor a has file and topic'),
+    ('sensors:\n  a: {}\n  b: {file: y}\n', 'sensor a has no source'),
+    ('sensors:\n  a: x\n  b: {file: y}\n', "sensor a is 'x'"),
+    ('sensors:\n  a: {file: x, invert: 1}\n  b: {file: y}\n', 'invert of sensor a is 1'),
+    ('sensors:\n  a: {file: x}\n  b: {file: y}\nsettings: {solvr: dnl}\n', "'solvr' is unknown"),
+    ('sensors:\n  a: {file: x}\n  b: {file: x}\n', 'given twice'),
+])
+def test_wrong_descriptions_are_wrong_usage(tmp_path, capsys, text, message):
+    (tmp_path / 'RIG.yaml').write_text(text)
+    assert main(['rig', str(tmp_path / 'RIG.yaml')]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ([], 'RIG.yaml is missing'),
+    (['--from-results', '.', '--bag', 'x'], '--bag has no meaning'),
+])
+def test_wrong_usage(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(['rig', *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_no_results_are_wrong_usage(tmp_path, capsys):
+    assert main(['rig', '--from-results', str(tmp_path)]) == 2
+    assert 'holds no .yaml' in capsys.readouterr().err
+    (tmp_path / 'x.yaml').write_text('a: 1\n')
+    assert main(['rig', '--from-results', str(tmp_path)]) == 2
+    assert 'holds no results' in capsys.readouterr().err
+
+
+def test_transforms_of_a_bag_and_priors_are_read(tmp_path):
+    (tmp_path / 'RIG.yaml').write_text("""bags: drive.mcap
+sensors:
+  base: {tf: odom.base_link}
+  camera: {topic: /camera, scale: free, prior_translation: '-,-,0.5',
+           prior_translation_std: 0.01, invert: true}
+pairs: all
+""")
+    found = RigDescription.load(tmp_path / 'RIG.yaml')
+    assert found.inputs['base'][0] == 'tf:odom.base_link'
+    assert found.inputs['camera'][1].invert
+    assert found.bags == (tmp_path / 'drive.mcap',)
+    assert found.config.pairs == 'all'
+    assert found.config.of('camera').scale == 'free'
+
+
+def test_two_sensors_of_one_frame_are_an_error(rig):
+    data = rig.to_dict()
+    data['sensors']['rear']['frame'] = 'camera'
+    with pytest.raises(ConfigError, match='front and rear both have the frame camera'):
+        placements(RigResult.from_dict(data))

@@ -1,0 +1,109 @@
+"""RIG.yaml: which sensors a vehicle has, where their trajectories are, and how to calibrate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from trajectory_calibration.config.yaml_file import read_yaml
+from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.rig.settings import RigConfig, SensorSettings
+from trajectory_calibration.sources.inputs import InputOptions
+from trajectory_calibration.sources.transforms import TF_PREFIX
+
+# Where a trajectory comes from: one of these for each sensor.
+_SOURCES = ('file', 'topic', 'tf')
+_READING = tuple(item.name for item in fields(InputOptions))
+_KNOWN_OF_SENSOR = tuple(item.name for item in fields(SensorSettings))
+
+# Keys of the file that are settings of the rig, and the one with another name there.
+_RIG_KEYS = ('base', 'pairs', 'leave_out_contradicting', 'max_poses', 'processes')
+_KEYS = (*_RIG_KEYS, 'bags', 'sensors', 'settings')
+
+
+@dataclass(frozen=True)
+class RigDescription:
+    """What RIG.yaml holds.
+
+    Attributes
+    ----------
+    inputs : by sensor: a file, a topic or ``tf:PARENT.CHILD``, and how to read it.
+    bags : that hold the topics and transforms.
+    config : settings of the rig.
+
+    """
+
+    inputs: Mapping[str, tuple[str, InputOptions]]
+    bags: tuple[Path, ...]
+    config: RigConfig
+
+    @classmethod
+    def load(cls, path: Path) -> RigDescription:
+        """Read a file; paths in it are relative to its folder.
+
+        Raises
+        ------
+        ConfigError
+            No such file, no YAML, an unknown key, or a sensor without a source.
+
+        """
+        data = read_yaml(path, 'the description of a rig', ConfigError)
+        if not isinstance(data, Mapping):
+            raise ConfigError(f'{path} holds no rig; needed lines such as "sensors:"')
+        try:
+            return cls.from_dict(data, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f'{path}: {error}') from error
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], folder: Path = Path()) -> RigDescription:
+        """Build a description from plain data; raises as ``load``."""
+        for key in data:
+            if key not in _KEYS:
+                raise ConfigError(f'key {key!r} is unknown; known are {", ".join(_KEYS)}')
+        sensors = data.get('sensors')
+        if not isinstance(sensors, Mapping) or len(sensors) < 2:
+            raise ConfigError('sensors is needed, with two sensors or more below it')
+        inputs, known = {}, {}
+        for name, values in sensors.items():
+            if not isinstance(values, Mapping):
+                raise ConfigError(f'sensor {name} is {values!r}, needed lines such as '
+                                  '"topic: /odometry"')
+            inputs[str(name)] = _input(str(name), values, folder)
+            known[str(name)] = {
+                key: value for key, value in values.items() if key in _KNOWN_OF_SENSOR}
+        bags = data.get('bags', ())
+        if isinstance(bags, str):
+            bags = (bags,)
+        config = {key: data[key] for key in _RIG_KEYS if key in data}
+        return cls(
+            inputs, tuple(folder / str(bag) for bag in bags),
+            RigConfig.from_dict({
+                **config, 'sensors': known, 'calibration': data.get('settings') or {}}))
+
+
+def _input(name: str, values: Mapping[str, Any], folder: Path) -> tuple[str, InputOptions]:
+    known = (*_SOURCES, *_READING, *_KNOWN_OF_SENSOR)
+    for key in values:
+        if key not in known:
+            raise ConfigError(f'key {key!r} of sensor {name} is unknown; known are '
+                              f'{", ".join(dict.fromkeys(known))}')
+    given = [key for key in _SOURCES if key in values]
+    if len(given) != 1:
+        raise ConfigError(
+            f'sensor {name} has {" and ".join(given) or "no source"}, needed one of '
+            f'{", ".join(_SOURCES)}')
+    source = str(values[given[0]])
+    if given[0] == 'file':
+        source = str(folder / source)
+    elif given[0] == 'tf' and not source.startswith(TF_PREFIX):
+        source = f'{TF_PREFIX}{source}'
+    options = {key: values[key] for key in _READING if values.get(key) is not None}
+    if 'times' in options:
+        options['times'] = folder / str(options['times'])
+    if not isinstance(options.get('invert', False), bool):
+        raise ConfigError(f'invert of sensor {name} is {options["invert"]!r}, needed true or '
+                          'false')
+    return source, InputOptions(**options)
