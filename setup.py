@@ -41,7 +41,7 @@ setup(
     ],
     author='trajectory_calibration maintainers',
     maintainer='trajectory_calibration maintainers',
-    maintainer_email='maintainers@trajectory-calibration.invalid',
+    maintainer_email='trajectory-calibration@example.org',
     python_requires='>=3.10',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed', 'outputs/report/*.css', 'outputs/report/*.js']},
