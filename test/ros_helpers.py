@@ -31,13 +31,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
+from trajectory_calibration.ros.diagnostics import InputMonitor
 
 __all__ = [
+    'BufferLimits',
     'Client',
     'Clock',
     'DescribeParameters',
@@ -45,13 +48,16 @@ __all__ = [
     'DurabilityPolicy',
     'Future',
     'GetParameters',
+    'InputMonitor',
     'ListParameters',
     'MarkerArray',
     'NodeProcess',
     'Parameter',
+    'PoseBuffer',
     'QoSProfile',
     'ReliabilityPolicy',
     'SetParameters',
+    'String',
     'connected',
     'drive',
     'matrix',
@@ -60,6 +66,7 @@ __all__ = [
     'serialize_message',
     'to_message',
     'to_path',
+    'to_transform',
 ]
 
 LIMIT_S = 30.0
@@ -117,11 +124,26 @@ def to_message(type_name, stamp_ns, T_w_s, frame='map', child='sensor'):
     return PoseWithCovarianceStamped(header=header, pose=PoseWithCovariance(pose=pose))
 
 
+def to_transform(stamp_ns, T, parent, child):
+    """Return a (4, 4) transform as a message."""
+    message = TransformStamped(header=Header(frame_id=parent), child_frame_id=child)
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(int(stamp_ns), 10**9)
+    t, q = message.transform.translation, message.transform.rotation
+    t.x, t.y, t.z = map(float, T[:3, 3])
+    q.x, q.y, q.z, q.w = map(float, se3.rotation_to_quaternion(T[:3, :3]))
+    return message
+
+
 def to_path(stamps_ns, poses, frame='map'):
     """Return a whole trajectory as one message."""
     return Path(header=Header(frame_id=frame), poses=[
         to_message('PoseStamped', stamp, pose, frame)
         for stamp, pose in zip(stamps_ns, poses, strict=True)])
+
+
+def heed_hangup():
+    """Undo what nohup does, under which tests may run: a child would ignore SIGHUP, too."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class NodeProcess:
@@ -135,8 +157,9 @@ class NodeProcess:
         with self.log_path.open('wb') as log:
             self.process = subprocess.Popen(
                 [sys.executable, '-m', 'trajectory_calibration.ros.executable', '--ros-args',
-                 '-r', f'__ns:={namespace}', *arguments],
-                stdout=log, stderr=subprocess.STDOUT, env=environment)
+                 '-r', f'__ns:={namespace}', '-p', 'diagnostic_updater.period:=0.1', *arguments],
+                stdout=log, stderr=subprocess.STDOUT, env=environment,
+                preexec_fn=heed_hangup)  # noqa: PLW1509
 
     @property
     def log(self):

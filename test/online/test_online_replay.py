@@ -9,7 +9,7 @@ from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.cli.main import main
 
-pytestmark = needs_ros
+pytestmark = [needs_ros, pytest.mark.ros]
 CONFIG = Path(__file__).resolve().parents[2] / 'config' / 'calibration.yaml'
 
 

@@ -1,16 +1,17 @@
 """The node in its own process, over real DDS."""
 
-import importlib.util
+import json
 import os
 import signal
 import subprocess
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from ros_if_any import needs_ros, ros
 
-pytestmark = needs_ros
+pytestmark = [needs_ros, pytest.mark.ros]
 
 # The fastest solver; the others run where it matters that they do.
 TAYLOR = ('-p', 'solver:=taylor')
@@ -117,7 +118,7 @@ def test_a_failure_says_why_and_keeps_the_previous_answer(tmp_path):
         client.wait(lambda: client.status('calibration').message.startswith(
             'calibration failed'), 'the failure in the diagnostics')
     assert not nothing.success and '0 poses received' in nothing.message
-    assert reset.success and 'forgot 100 poses of a and 100 of b' in reset.message
+    assert reset.success and 'dropped 100 poses of a and 100 of b' in reset.message
     assert not failed.success and '0 poses received' in failed.message
     assert len(extrinsic) == 1
     assert late == extrinsic
@@ -135,8 +136,8 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
         assert client.set_parameter('allow_unobserved', value=True).successful
         allowed = client.call('calibrate')
         assert allowed.success, allowed.message
-        assert '\n - not observed: z\n - ' in allowed.message
-        assert '\n - warning: ' in allowed.message
+        assert '\n - unobservable: z\n - ' in allowed.message
+        assert '\n - serious: ' in allowed.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     found = ros.matrix(extrinsic[0])
     assert np.allclose(found[:2, 3], ros.T_A_B[:2, 3], atol=1e-4)
@@ -153,7 +154,7 @@ def test_advice_comes_through_again_once_there_is_more_motion_than_at_a_failure(
         assert shown('calibration failed: ') == b'\x01'
         stamps_ns, poses_a, poses_b = ros.drive(poses=300)
         publishers = client.publish_drive(stamps_ns[:30], poses_a[:30], poses_b[:30])
-        assert shown('drive: 2 motions') == b'\x00'
+        assert shown('waiting for motion seen by both sensors: 3 s') == b'\x00'
         assert '0 poses received' in client.value('calibration', 'last_failure')
         for publisher, poses, (frame, child) in zip(
                 publishers, (poses_a, poses_b), (('map', 'lidar'), ('odom', 'camera')),
@@ -178,7 +179,7 @@ def test_a_reset_during_a_calibration_is_no_failure(tmp_path):
         client.wait_for_poses(0, 0)
         status = client.status('calibration')
     assert not pending.result().success and pending.result().message == 'stopped by a reset'
-    assert (status.level, status.message[:5]) == (b'\x00', 'drive')
+    assert (status.level, status.message[:18]) == (b'\x00', 'waiting for motion')
     assert 'calibration failed' not in node.log
 
 
@@ -386,13 +387,14 @@ def test_a_bag_that_loops_starts_anew_and_says_what_it_forgot(tmp_path):
                 stamps_ns[:60], poses_a[:60], poses_b[:60], strict=True):
             a.publish(ros.to_message('Odometry', stamp, pose_a, 'map', 'lidar'))
             b.publish(ros.to_message('Odometry', stamp, pose_b, 'odom', 'camera'))
+        client.wait(lambda: '150 poses were dropped' in client.status('trajectory_a').message,
+                    'the loss')
+        assert client.status('trajectory_a').level == b'\x01'
         client.wait_for_poses(60, 60)
-        answer = client.call('calibrate')
         assert client.value('trajectory_a', 'clock jumps') == '1'
-        status = client.status('trajectory_a')
+        answer = client.call('calibrate')
         log = node.log
-    assert (status.level, '150 poses were forgotten' in status.message) == (b'\x01', True)
-    assert log.count('went back, 150 poses were forgotten') == 2
+    assert log.count('went back, 150 poses were dropped') == 2
     assert answer.success, answer.message
     assert 'of 60 poses' in answer.message
 
@@ -484,6 +486,7 @@ def test_a_name_is_remapped_once(tmp_path, arguments, topics):
 def test_the_status_says_what_is_missing(tmp_path):
     with ros.running(tmp_path, '-p', 'type_b:=Odometry') as (_, client):
         client.wait(lambda: client.status('trajectory_a') is not None, 'diagnostics')
+        client.wait(lambda: 'no publisher on' in client.status('trajectory_a').message, 'that')
         waiting = client.status('trajectory_a')
         # One participant cannot give a topic two types; two vehicles' worth of nodes can.
         other = ros.Client(client.domain, client.namespace)
@@ -493,7 +496,7 @@ def test_the_status_says_what_is_missing(tmp_path):
             other.node.create_publisher(ros.TYPES['PoseStamped'], 'trajectory_b', 10)
             client.wait(lambda: 'set the type parameter' in client.status(
                 'trajectory_a').message, 'two types')
-            client.wait(lambda: 'the parameter says nav_msgs/msg/Odometry' in client.status(
+            client.wait(lambda: 'the type parameter says nav_msgs/msg/Odometry' in client.status(
                 'trajectory_b').message, 'the wrong type')
         finally:
             other.close()
@@ -557,10 +560,15 @@ def test_results_are_saved_and_restored(tmp_path):
     first, second = sorted(folder.iterdir())
     assert answer.success
     # A line for each thing, apart even where `ros2 service call` prints a break as an escape.
-    lines = answer.message.split('\n - ')
+    text, _, machine = answer.message.rpartition('\n')
+    lines = text.split('\n - ')
     assert [line.partition(':')[0] for line in lines] == [
         'lidar -> camera', 'standard deviations', 'data', f'saved in {first}']
     assert all(len(line) < 120 for line in lines[:-1])
+    # The last line is for programs.
+    found = json.loads(machine)
+    assert (found['frame_a'], found['frame_b']) == ('lidar', 'camera')
+    assert np.allclose(found['translation_m'], ros.T_A_B[:3, 3], atol=1e-10)
     assert extrinsic_shown == lines[0]
     assert again.success and again.message == f'saved in {second}'
     # What a power cut may leave must not keep the vehicle from its last good result.
@@ -570,14 +578,47 @@ def test_results_are_saved_and_restored(tmp_path):
         tmp_path, *saving, '-p', 'restore:=true', namespace=client.namespace)
     with again as (node, late):
         extrinsic = late.latched()
-        late.wait(lambda: extrinsic, 'the restored extrinsic')
-        late.wait(lambda: f'restored {first}' in node.log, 'the log')
+        result = late.latched('trajectory_calibration/result', ros.String)
         late.wait(lambda: late.status('calibration') is not None, 'the diagnostics')
+        assert late.status('calibration').level == b'\x01'
+        assert 'is restored when poses of lidar and camera arrive' in late.status(
+            'calibration').message
+        assert not extrinsic
+        late.publish_drive(*ros.drive(poses=3))
+        late.wait(lambda: extrinsic and result, 'the restored extrinsic')
+        late.wait(lambda: f'restored {first}' in node.log, 'the log')
         # It says what is missing for another answer, and which one is published.
-        assert late.status('calibration').message.startswith('drive: 0 motions')
+        late.wait(lambda: late.status('calibration').message.startswith('waiting for motion'),
+                  'the advice')
         assert late.value('calibration', 'extrinsic') == extrinsic_shown
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
     assert extrinsic[0].child_frame_id == 'camera'
+    assert json.loads(result[0].data)['frame_b'] == 'camera'
+
+
+@pytest.mark.parametrize('given, restored', [('camera', True), ('camera_left', False)])
+def test_a_result_of_other_frames_is_not_restored(tmp_path, given, restored):
+    folder = tmp_path / 'results'
+    arguments = (*TAYLOR, '-p', f'result_directory:={folder}')
+    with ros.running(tmp_path, *arguments) as (_, client):
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+    # The frames are in the parameters: nothing needs to arrive.
+    again = ros.running(
+        tmp_path, *arguments, '-p', 'restore:=true', '-p', 'frame_a:=lidar', '-p',
+        f'frame_b:={given}', namespace=client.namespace)
+    with again as (node, late):
+        extrinsic = late.latched()
+        if restored:
+            late.wait(lambda: extrinsic, 'the restored extrinsic')
+            return
+        late.wait(lambda: late.status('calibration') is not None, 'the diagnostics')
+        status = late.status('calibration')
+        late.spin(0.5)
+    assert not extrinsic
+    sentence = 'holds lidar -> camera, the topics carry lidar and camera_left; correct the topics'
+    assert sentence in node.log
+    assert status.level == b'\x01' and sentence in status.message
 
 
 def test_the_tracks_lie_over_each_other(tmp_path):
@@ -660,9 +701,9 @@ def test_it_advises_and_calibrates_unasked_once_the_motion_is_enough(tmp_path):
         client.call('reset')
         client.wait_for_poses(0, 0)
         assert node.log.count('enough motion') == 1
-        assert client.status('calibration').message.startswith('drive: 0 motions')
+        assert client.status('calibration').message.startswith('waiting for motion')
         assert client.value('calibration', 'extrinsic')
-    assert before.startswith('drive')
+    assert before.startswith('waiting for motion seen by both sensors: 0 s')
     assert after == 'enough motion: call ~/calibrate'
     assert len(extrinsic) == 1
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
@@ -683,12 +724,64 @@ def test_on_flat_ground_it_calibrates_unasked_once_the_height_is_given(tmp_path)
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-4)
 
 
+def test_the_monitor_warns_and_then_reports_an_error_when_a_sensor_was_moved(tmp_path):
+    arguments = ('-p', 'monitor:=true', '-p', 'monitor_period:=1.0', '-p', 'max_time_offset:=0.0')
+    with ros.running(tmp_path, *arguments) as (node, client):
+        client.wait(lambda: client.status('monitor') is not None, 'the diagnostics')
+        assert client.status('monitor').message.startswith('not checked yet')
+        publishers = client.publish_drive(*ros.drive(poses=400))
+        assert client.call('calibrate').success
+
+        def shown(part, verdict, level):
+            stamps_ns, poses_a, poses_b = ros.drive(poses=300, start_s=2000.0 * part, seed=part)
+            if verdict == 'moved':
+                poses_b = poses_b @ ros.se3.exp_se3([0.1, 0, 0, 0, 0, 0.1])
+            for publisher, poses, (frame, child) in zip(
+                    publishers, (poses_a, poses_b), (('map', 'lidar'), ('odom', 'camera')),
+                    strict=True):
+                for stamp, pose in zip(stamps_ns, poses, strict=True):
+                    publisher.publish(ros.to_message('Odometry', stamp, pose, frame, child))
+            client.wait(lambda: client.value('monitor', 'verdict') == verdict
+                        and client.status('monitor').level == level, f'{verdict} at {level}')
+        shown(1, 'holds', b'\x00')
+        shown(2, 'moved', b'\x01')
+        assert client.value('monitor', 'status') == '4'
+        shown(3, 'moved', b'\x02')
+        assert 'the published extrinsic: moved by ' in node.log
+
+
 def test_a_node_without_saved_results_starts_all_the_same(tmp_path):
     arguments = ('-p', f'result_directory:={tmp_path}/new/results', '-p', 'restore:=true')
     with ros.running(tmp_path, *TAYLOR, *arguments) as (node, client):
         client.publish_drive(*ros.drive())
         assert client.call('calibrate').success
         assert 'nothing restored: result_directory holds no result yet' in node.log
+
+
+def test_the_log_says_within_seconds_which_topics_are_waited_for(tmp_path):
+    with ros.running(tmp_path) as (node, client):
+        a = client.publisher('trajectory_a')
+        a.publish(ros.to_message('Odometry', 10**9, np.eye(4)))
+        topic = f'{client.namespace}/trajectory_b'
+        client.wait(lambda: 'waiting for trajectory_b' in node.log, 'the log')
+        log = node.log
+    assert f'waiting for trajectory_b: no publisher on {topic}; start it' in log
+    assert 'waiting for trajectory_a' not in log
+
+
+def test_messages_that_dds_lost_are_counted_and_shown():
+    from trajectory_calibration.ros import topics
+    with ros.connected() as client:
+        subscription = topics.TrajectorySubscription(
+            client.node, 'a', None, ros.PoseBuffer(ros.BufferLimits()), 10)
+        for change in (3, 2):
+            subscription._on_lost(SimpleNamespace(total_count_change=change))
+        assert subscription.lost == 5
+        monitor = ros.InputMonitor('a', ros.PoseBuffer(ros.BufferLimits()), 0.0, 'a')
+        status = monitor.report(subscription.status, 1.0, subscription.lost)
+    assert status.message.endswith('; 5 messages lost by DDS')
+    assert {value.key: value.value for value in status.values}['messages lost'] == '5'
+    assert status.hardware_id == 'a'
 
 
 def refused(folder, arguments, domain=1):
@@ -730,28 +823,12 @@ def test_a_domain_without_ports_ends_the_node_with_a_sentence(tmp_path):
     assert 'ROS_DOMAIN_ID is 900, needed 0 to 232' in refused(tmp_path, (), domain=900)
 
 
-def test_publish_tf_without_tf2_msgs_is_refused_at_the_start(tmp_path):
-    if importlib.util.find_spec('tf2_msgs') is not None:
-        pytest.skip('tf2_msgs is installed here')
-    assert 'publish_tf needs tf2_msgs' in refused(tmp_path, ('-p', 'publish_tf:=true'))
-
-
-def test_publish_tf_puts_the_latest_extrinsic_on_tf_static(tmp_path):
-    tf2 = pytest.importorskip('tf2_msgs.msg', reason='tf2_msgs is missing')
-    with ros.running(tmp_path, *TAYLOR, '-p', 'publish_tf:=true') as (_, client):
-        transforms = client.latched('/tf_static', tf2.TFMessage)
-        client.publish_drive(*ros.drive())
-        assert client.call('calibrate').success
-        assert client.call('calibrate').success
-        client.wait(lambda: len(transforms) == 2, 'two transforms')
-    latest = transforms[-1].transforms[0]
-    assert (latest.header.frame_id, latest.child_frame_id) == ('lidar', 'camera')
-    assert np.allclose(ros.matrix(latest), ros.T_A_B, atol=1e-10)
-
-
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_signals_end_the_node_cleanly(tmp_path, number):
-    for _ in range(3):
+@pytest.mark.parametrize('number, times', [
+    (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGHUP, 1),
+    pytest.param(signal.SIGINT, 50, marks=pytest.mark.slow),
+    pytest.param(signal.SIGTERM, 50, marks=pytest.mark.slow)])
+def test_signals_end_the_node_cleanly(tmp_path, number, times):
+    for _ in range(times):
         with ros.running(tmp_path) as (node, client):
             client.wait(lambda client=client: client.status('calibration') is not None, 'the node')
             status, seconds = node.stop(number)
@@ -783,6 +860,8 @@ def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_pa
                 capture_output=True, text=True, check=False).stdout
             children[:] = listing.split()
             return children
+        client.wait(lambda: client.status('calibration').message.startswith('calibrating for'),
+                    'the progress')
         client.wait(solving, 'the solver process')
         status, seconds = node.stop()
         client.wait(pending.done, 'the answer')

@@ -9,9 +9,10 @@ from pathlib import Path
 import time
 
 import numpy as np
+import pytest
 from ros_if_any import needs_ros, ros
 
-pytestmark = needs_ros
+pytestmark = [needs_ros, pytest.mark.ros]
 
 SECONDS = float(os.environ.get('TRAJECTORY_CALIBRATION_SOAK_S', '15'))
 RATE_HZ = 200

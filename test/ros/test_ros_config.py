@@ -8,7 +8,7 @@ import pytest
 from ros_if_any import needs_ros, ros
 from ruamel.yaml import YAML
 
-pytestmark = needs_ros
+pytestmark = [needs_ros, pytest.mark.ros]
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 NODE = '/trajectory_calibration'

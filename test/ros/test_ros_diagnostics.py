@@ -45,7 +45,7 @@ def test_poses_that_are_all_refused_are_a_warning_until_one_is_taken():
     assert a.receive(20, speed=0.0)[0] == OK
     assert a.receive(3, speed=math.nan)[0] == OK
     assert a.receive(10, speed=math.nan) == (
-        WARN, 'Odometry on /a: no pose taken for 12 s: 130 poses refused (130 not finite)')
+        WARN, 'Odometry on /a: no pose accepted for 12 s: 130 poses refused (130 not finite)')
     # After the pause a new clock goes on for a second before it is believed.
     assert a.receive(2)[0] == OK
 
@@ -55,7 +55,7 @@ def test_a_clock_that_went_back_is_said_once_and_a_warning_for_a_minute():
     a.receive(20)
     a.clock_s = 50
     level, message = a.receive(30)
-    assert level == WARN and 'its stamps went back, 200 poses were forgotten' in message
+    assert level == WARN and 'the stamps went back, 200 poses were dropped' in message
     assert [loss for loss in a.losses if loss] == [message.removeprefix('Odometry on /a: ')]
     assert a.receive(40)[0] == OK
     a.clock_s = 50
@@ -70,8 +70,8 @@ def test_other_frames_are_said_once_with_their_names_and_a_warning_for_a_minute(
     level, message = a.receive(30, frame='map2')
     assert level == WARN
     assert message == (
-        'Odometry on /a: its frames changed from none and lidar to map2 and lidar, 200 poses were '
-        'forgotten; unless its sender began anew, see that one sensor alone publishes on the '
+        'Odometry on /a: the frames changed from none and lidar to map2 and lidar, 200 poses were '
+        'dropped; unless the sender was restarted, check that only one sensor publishes on the '
         'topic')
     assert [loss for loss in a.losses if loss] == [message.removeprefix('Odometry on /a: ')]
     assert a.receive(40, frame='map2') == (OK, 'Odometry on /a: 10.0 Hz')

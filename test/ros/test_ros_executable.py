@@ -7,6 +7,12 @@ import sys
 
 import pytest
 
+
+def heed_hangup():
+    """Undo what nohup does, under which tests may run: a child would ignore SIGHUP, too."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 # Sends a signal to itself while ROS is imported.
 SIGNALLED = """
 import os, sys
@@ -50,7 +56,7 @@ def test_without_ros_it_says_what_to_do():
 def test_a_signal_during_the_imports_is_a_clean_end(number):
     done = subprocess.run(
         [sys.executable, '-c', SIGNALLED.format(number=int(number))], capture_output=True,
-        text=True, timeout=60, check=False)
+        text=True, timeout=60, check=False, preexec_fn=heed_hangup)
     assert (done.returncode, done.stdout, done.stderr) == (0, 'sent\n', '')
 
 
@@ -62,7 +68,7 @@ def test_the_end_of_the_interpreter_is_not_cut_short_by_more_signals():
             '(signal.SIGINT, signal.SIGTERM, signal.SIGHUP))))\n') + SIGNALLED
     done = subprocess.run(
         [sys.executable, '-c', code.format(number=int(signal.SIGTERM))], capture_output=True,
-        text=True, timeout=60, check=False)
+        text=True, timeout=60, check=False, preexec_fn=heed_hangup)
     ignored = str(int(signal.SIG_IGN))
     assert (done.returncode, done.stdout.split()) == (0, ['sent', *[ignored] * 3])
 

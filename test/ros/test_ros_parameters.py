@@ -1,6 +1,5 @@
 """One truth about the parameters: options, parameter file and node agree."""
 
-import ast
 import math
 from pathlib import Path
 
@@ -87,11 +86,3 @@ def test_values_are_judged_in_one_place(values, sentence):
 def test_an_integer_serves_where_a_double_is_meant():
     value = options.check_values({'max_gap': 1})['max_gap']
     assert value == 1.0 and isinstance(value, float)
-
-
-def test_the_launch_file_is_python_and_names_the_executable():
-    source = (ROOT / 'launch' / 'calibration.launch.py').read_text()
-    compile(source, 'calibration.launch.py', 'exec')
-    strings = {node.value for node in ast.walk(ast.parse(source))
-               if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    assert {'calibration_node', 'topic_a', 'topic_b', 'config'} <= strings

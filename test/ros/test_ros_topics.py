@@ -5,7 +5,7 @@ from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 
-pytestmark = needs_ros
+pytestmark = [needs_ros, pytest.mark.ros]
 if ros is not None:
     from trajectory_calibration.ros import topics
 

@@ -1,6 +1,8 @@
-"""The answer of ``~/calibrate`` in words."""
+"""The answer of ``~/calibrate`` in words, and in one line of JSON."""
 
 from __future__ import annotations
+
+import json
 
 import numpy as np
 
@@ -29,31 +31,49 @@ def deviations(result: CalibrationResult) -> str:
     return f'[{", ".join(words[:3])}] m, about xyz [{", ".join(words[3:])}] deg'
 
 
-def describe(result: CalibrationResult, file: str = '') -> str:
-    """Return the extrinsic and how good it is for a person, one thing a line.
+def describe(result: CalibrationResult, *notes: str) -> str:
+    """Return the extrinsic and how good it is, one thing a line, the last line JSON.
 
     Parameters
     ----------
     result : CalibrationResult
         To describe.
-    file : str
-        A sentence about where it was saved; '' where it was not.
+    *notes : str
+        Sentences about what became of it: its file, TF; '' is left out.
 
     """
     lines = [headline(result)]
     if result.covariance is not None:
         lines.append(f'standard deviations: {deviations(result)}')
     if result.observability.unobserved:
-        lines.append(f'not observed: {", ".join(result.observability.unobserved)}')
+        lines.append(f'unobservable: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
         lines.append(f'scale of {result.frame_b}: {result.scale:.5f}')
     if result.time_offset_s or result.clock_drift:
         drift = f', changing by {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
         lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
     lines.append(
-        f'data: {result.motions} motions of {result.poses} poses, e_rt '
-        f'{result.metrics.e_rt:.4f} m, e_rR {np.rad2deg(result.metrics.e_rR):.3f} deg')
-    if file:
-        lines.append(file)
-    lines += [f'warning: {warning}' for warning in result.warnings]
-    return _NEXT_LINE.join(lines)
+        f'data: {result.motions} motions of {result.poses} poses; fit residual '
+        f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
+        '(not the accuracy)')
+    lines += filter(None, notes)
+    lines += [f'{finding.level}: {finding.text}' for finding in result.findings]
+    return f'{_NEXT_LINE.join(lines)}\n{summary(result)}'
+
+
+def summary(result: CalibrationResult) -> str:
+    """Return what a program needs in one line of JSON; ``~/result`` has everything."""
+    T, covariance = result.T_a_b, result.covariance
+    std = None if covariance is None else np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return json.dumps({
+        'frame_a': result.frame_a,
+        'frame_b': result.frame_b,
+        'translation_m': T[:3, 3].tolist(),
+        'rotation_xyzw': se3.rotation_to_quaternion(T[:3, :3]).tolist(),
+        'translation_std_m': None if std is None else std[:3].tolist(),
+        'rotation_std_deg': None if std is None else np.rad2deg(std[3:]).tolist(),
+        'status': dict(result.observability.status),
+        'scale': result.scale,
+        'time_offset_s': result.time_offset_s,
+        'findings': [finding.code for finding in result.findings],
+    })

@@ -12,15 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.trajectory import (
-    MAX_POSITION,
-    pose_faults,
-    ROTATION_TOLERANCE,
-    Trajectory,
-)
-from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, ROTATION_TOLERANCE
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.track import Track
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
@@ -80,38 +74,6 @@ class BufferLimits:
     still_after_s: float = 2.0
     still_distance: float = 0.02
     still_angle_deg: float = 0.2
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """What a buffer held at one moment; independent of it, cheap to send to another process.
-
-    Attributes
-    ----------
-    stamps_ns : (N,) int64, strictly increasing.
-    poses : (N, 7) position x, y, z (metres) and quaternion x, y, z, w in the world.
-    world_frame, sensor_frame : names of the two frames.
-    warnings : what was refused, for the result.
-
-    """
-
-    stamps_ns: NDArray[np.int64]
-    poses: FloatArray
-    world_frame: str
-    sensor_frame: str
-    warnings: tuple[str, ...] = ()
-
-    def trajectory(self) -> Trajectory:
-        """Return the poses as a Trajectory; raises TrajectoryError for fewer than two."""
-        if len(self.stamps_ns) < 2:
-            notes = ''.join(f'; {note}' for note in self.warnings)
-            raise TrajectoryError(
-                f'{self.sensor_frame}: {len(self.stamps_ns)} poses received, needed at least 2; '
-                f'check that the topic is published and drive{notes}')
-        return Trajectory.from_quaternions(
-            self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
-            self.sensor_frame,
-            tuple(Finding('input-repaired', note) for note in self.warnings))
 
 
 class PoseBuffer:

@@ -25,7 +25,7 @@ ARGUMENTS = (
     ('name', 'trajectory_calibration', 'name of the node'),
     ('use_sim_time', 'false', 'whether a bag or a simulator publishes /clock'),
     ('log_level', 'info', 'debug, info, warn, error or fatal'),
-    ('respawn', 'false', 'start the node again when it ends; not after wrong parameters'),
+    ('respawn', 'false', 'start the node again whenever it ends'),
 )
 
 _WORDS = {'true': True, 'false': False}

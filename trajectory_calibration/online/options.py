@@ -1,8 +1,7 @@
 """The node's options: one for each field of CalibrationConfig, and the node's own.
 
 Defaults, ranges and words of the parameters, of ``config/calibration.yaml`` and of a replay come
-from here; a value is judged by ``Option.check`` alone, at the start and at run time. Nothing
-here imports ROS.
+from here; a value is judged by ``Option.check`` alone, at the start and at run time.
 
 ``python3 -m trajectory_calibration.online.options > config/calibration.yaml`` writes the file.
 """
@@ -18,6 +17,7 @@ from trajectory_calibration.config.settings import CalibrationConfig, Option
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.online.buffer import BufferLimits
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
+from trajectory_calibration.sources.transforms import parse_tf, TF_PREFIX
 
 # What rclpy itself declares on every node, and how the names begin that it may declare.
 _FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
@@ -27,56 +27,74 @@ _FOREIGN_PREFIX = 'qos_overrides.'
 AUTOMATIC = 'auto'
 
 _LIMITS = BufferLimits()
-_TYPES = f'{AUTOMATIC} (what the publishers offer), {", ".join(TRAJECTORY_TYPES)}'
+_TYPES = f'{AUTOMATIC} (what its publishers offer), {", ".join(TRAJECTORY_TYPES)}'
+_TF = f'or two frames of /tf as {TF_PREFIX}PARENT.CHILD'
 
 TOPIC_OPTIONS = (
-    Option('topic_a', str, 'trajectory_a', 'topic with the trajectory of the parent sensor a'),
-    Option('topic_b', str, 'trajectory_b', 'topic with the trajectory of the child sensor b'),
+    Option('topic_a', str, 'trajectory_a',
+           f'topic with the trajectory of the parent sensor a, {_TF}'),
+    Option('topic_b', str, 'trajectory_b',
+           f'topic with the trajectory of the child sensor b, {_TF}'),
     Option('type_a', str, AUTOMATIC, f'message type of topic_a: {_TYPES}'),
     Option('type_b', str, AUTOMATIC, f'message type of topic_b: {_TYPES}'),
-    Option('queue_depth', int, 5000, 'poses that wait on each topic while the node is busy; of '
-           'Paths only the newest does', minimum=1, maximum=1_000_000),
+    Option('queue_depth', int, 5000, 'depth of the subscription queues (a Path topic always '
+           'uses 1)', minimum=1, maximum=1_000_000),
 )
 BUFFER_OPTIONS = (
-    Option('max_poses', int, _LIMITS.max_poses, 'poses kept of each sensor, the newest',
+    Option('max_poses', int, _LIMITS.max_poses,
+           'largest number of poses kept for each sensor; the oldest are dropped first',
            minimum=10, maximum=10_000_000),
-    Option('max_age', float, _LIMITS.max_age_s, 'age up to which poses are kept, seconds',
+    Option('max_age', float, _LIMITS.max_age_s, 'largest age of the poses that are kept, seconds',
            minimum=1.0, maximum=1e7),
     Option('still_after', float, _LIMITS.still_after_s, 'time without motion after which only '
            'the newest pose of a standstill is kept, seconds', minimum=0.0, maximum=1e7),
     Option('still_distance', float, _LIMITS.still_distance,
-           'distance below which a sensor has not moved, metres; 0 keeps every pose',
+           'motion below this distance counts as standing still, metres; 0 keeps every pose',
            minimum=0.0, maximum=1000.0),
     Option('still_angle', float, _LIMITS.still_angle_deg,
-           'angle below which a sensor has not moved, degrees', minimum=0.0, maximum=180.0),
+           'motion below this angle counts as standing still, degrees', minimum=0.0,
+           maximum=180.0),
 )
 FRAME_OPTIONS = (
-    Option('frame_a', str, '', 'name of the frame of sensor a; empty: from the messages'),
-    Option('frame_b', str, '', 'name of the frame of sensor b; empty: from the messages'),
+    Option('frame_a', str, '', 'frame of sensor a; empty: as the messages name it'),
+    Option('frame_b', str, '', 'frame of sensor b; empty: as the messages name it'),
 )
 RESULT_OPTIONS = (
     Option('result_directory', str, '',
-           'folder in which every result is saved; empty: none is'),
+           'folder in which every result is saved; empty: results are not saved'),
     Option('restore', bool, default=False,
-           help='publish the newest result in result_directory when the node starts'),
+           help='publish the newest result in result_directory after a start, once frame_a and '
+           'frame_b or the frames that arrive match it'),
 )
 ANSWER_OPTIONS = (
     Option('calibration_timeout', float, 120.0,
-           'time after which a calibration is given up, seconds', minimum=0.1, maximum=86400.0),
+           'time after which a calibration is stopped, seconds', minimum=0.1, maximum=86400.0),
 )
 OUTPUT_OPTIONS = (
     Option('publish_tf', bool, default=False,
-           help='publish the extrinsic on /tf_static too; needs tf2_msgs'),
+           help='publish the extrinsic on /tf_static too, where it does not give a frame a '
+           'second parent; needs tf2_msgs'),
+    Option('diagnostic_updater.period', float, 1.0, 'time between two messages on /diagnostics, '
+           'seconds', minimum=0.05, maximum=60.0),
 )
 ADVICE_OPTIONS = (
     Option('target_translation_std', float, 0.02,
-           'standard deviation of the translation that is wanted, metres',
+           'wanted standard deviation of the translation, metres',
            minimum=1e-6, maximum=1000.0),
     Option('target_rotation_std', float, 0.2,
-           'standard deviation of the rotation that is wanted, degrees',
+           'wanted standard deviation of the rotation, degrees',
            minimum=1e-6, maximum=180.0),
     Option('auto_calibrate', bool, default=False,
-           help='calibrate once when the motion so far promises both'),
+           help='calibrate once, without a call, when both are reached'),
+)
+MONITOR_OPTIONS = (
+    Option('monitor', bool, default=False,
+           help='check again and again whether the published extrinsic still holds; /diagnostics '
+           'warns when it does not, and reports an error when a second check confirms it'),
+    Option('monitor_period', float, 60.0, 'time between two checks, seconds', minimum=1.0,
+           maximum=86400.0),
+    Option('monitor_window', float, 600.0, 'each check uses the poses of this time, seconds',
+           minimum=10.0, maximum=1e7),
 )
 CONFIG_OPTIONS = tuple(CalibrationConfig.options())
 
@@ -89,6 +107,7 @@ _GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
     ('Names of the sensors', FRAME_OPTIONS, True),
     ('The answer', ANSWER_OPTIONS, True),
     ('When the motion is enough', ADVICE_OPTIONS, True),
+    ('Whether the extrinsic still holds', MONITOR_OPTIONS, False),
     ('The calibration', CONFIG_OPTIONS, True),
 )
 OPTIONS = {option.name: option for _, options, _ in _GROUPS for option in options}
@@ -122,8 +141,9 @@ def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
             f'parameter {unknown[0]!r} is unknown; known are {", ".join(sorted(OPTIONS))}')
     checked = {name: option.check(values.get(name, option.default))
                for name, option in OPTIONS.items()}
-    find_type(checked['type_a'])
-    find_type(checked['type_b'])
+    for side in 'ab':
+        find_type(checked[f'type_{side}'])
+        find_frames(checked[f'topic_{side}'])
     to_config(checked)
     if checked['restore'] and not checked['result_directory']:
         raise ConfigError('restore needs result_directory: the folder with the saved results')
@@ -161,15 +181,27 @@ def find_type(name: str) -> str | None:
         f'{", ".join(TRAJECTORY_TYPES)}')
 
 
+def find_frames(topic: str) -> tuple[str, str] | None:
+    """Return the two frames of ``tf:PARENT.CHILD``, None for a topic.
+
+    Raises
+    ------
+    ConfigError
+        It does not name two frames.
+
+    """
+    return parse_tf(topic) if topic.startswith(TF_PREFIX) else None
+
+
 def parameter_file() -> str:
     """Return the parameter file with every option, its default and its explanation."""
     lines = [
-        '# Every parameter of calibration_node with its default. Copy, change, and start with',
+        '# Every parameter of calibration_node with its default. Copy, edit, and start with',
         '#   ros2 run trajectory_calibration calibration_node --ros-args --params-file FILE',
         '/**:',
         '  ros__parameters:']
     for title, options, changeable in _GROUPS:
-        when = 'may be changed while the node runs' if changeable else 'read once at the start'
+        when = 'can be changed while the node runs' if changeable else 'read once at the start'
         lines += ['', f'    # --- {title}; {when} ---']
         for option in options:
             lines += _commented(option)

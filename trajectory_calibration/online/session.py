@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import re
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError, MotionError
-from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer, Track
+from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.overlay import make_overlay, Overlay
+from trajectory_calibration.online.track import Track
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -85,9 +87,18 @@ class CalibrationSession:
         return CalibrationJob(track_a, track_b, config)
 
     def frames(self, overrides: Sequence[str] = ('', '')) -> tuple[str, ...]:
-        """Return the frame of each sensor, '' where neither a message nor an override names it."""
-        return tuple(override or buffer.frames[1]
-                     for override, buffer in zip(overrides, self.buffers, strict=True))
+        """Return the frame of each sensor as a calibration names it, '' before its first pose."""
+        return tuple(
+            override or buffer.frames[1] or (name_of(topic) if len(buffer) else '')
+            for override, buffer, topic in zip(
+                overrides, self.buffers, self.topics, strict=True))
+
+    def invented(self, overrides: Sequence[str] = ('', '')) -> frozenset[str]:
+        """Return the frames that no message and no override names, but the topic."""
+        return frozenset(
+            name_of(topic) for override, buffer, topic in zip(
+                overrides, self.buffers, self.topics, strict=True)
+            if not override and not buffer.frames[1])
 
     def reset(self) -> None:
         """Forget all poses and counts."""
@@ -104,16 +115,10 @@ def _require_observed(result: CalibrationResult) -> None:
     unobserved = result.observability.unobserved
     if not unobserved or result.config.allow_unobserved:
         return
-    ways = ['drive what is missing']
-    if any(name in unobserved for name in 'xyz'):
-        ways.append(f"set prior_translation '{_place_of(unobserved)}' and prior_translation_std")
+    # The findings name the ways out, in words of the command line.
+    why = re.sub(r'--([a-z-]+)=', lambda option: f'{option[1].replace("-", "_")}:=',
+                 '; '.join(found.text for found in result.observability.findings
+                           if found.code == 'direction-unobserved'))
     raise MotionError(
         f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} '
-        f'{"is" if len(unobserved) == 1 else "are"} unobservable '
-        f'({"; ".join(map(str, result.observability.findings))}). Do one of: '
-        f'{"; ".join([*ways, "set allow_unobserved"])}')
-
-
-def _place_of(unobserved: Sequence[str]) -> str:
-    """Return how a prior of these directions is written: '-,-,Z'."""
-    return ','.join(axis.upper() if axis in unobserved else '-' for axis in 'xyz')
+        f'unobservable. {why[:1].upper()}{why[1:]}')

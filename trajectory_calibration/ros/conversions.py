@@ -56,14 +56,14 @@ class RosDeserialiser:
         child = value.child_frame_id if msgtype == ODOMETRY else ''
         pose = value.pose if msgtype == POSE else value.pose.pose
         return StampedPose(
-            _stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))
+            stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))
 
     def path(self, message: bytes) -> PathPoses | None:
         """Return the poses of a Path, or None where it is damaged."""
         value = _read(message, PATH)
         if value is None:
             return None
-        stamps_ns = [_stamp_ns(item.header.stamp) for item in value.poses]
+        stamps_ns = [stamp_ns(item.header.stamp) for item in value.poses]
         poses = [_numbers(item.pose) for item in value.poses]
         return PathPoses(
             value.header.frame_id, np.array(stamps_ns, np.int64), np.array(poses).reshape(-1, 7))
@@ -77,7 +77,8 @@ def _read(message: bytes, msgtype: str) -> Any:
         return None
 
 
-def _stamp_ns(stamp: Time) -> int:
+def stamp_ns(stamp: Time) -> int:
+    """Return the nanoseconds of a stamp."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
@@ -86,12 +87,14 @@ def _numbers(pose: Pose) -> tuple[float, ...]:
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def to_transform_stamped(result: CalibrationResult, stamp: Time) -> TransformStamped:
-    """Return the extrinsic as the transform from frame a to its child b."""
-    translation, rotation = _vector_and_quaternion(result)
+def to_transform_stamped(
+    parent: str, child: str, T_parent_child: FloatArray, stamp: Time,
+) -> TransformStamped:
+    """Return a (4, 4) transform from a frame to its child as a message."""
+    translation, rotation = _vector_and_quaternion(T_parent_child)
     return TransformStamped(
-        header=Header(stamp=stamp, frame_id=result.frame_a),
-        child_frame_id=result.frame_b,
+        header=Header(stamp=stamp, frame_id=parent),
+        child_frame_id=child,
         transform=Transform(translation=Vector3(**translation), rotation=Quaternion(**rotation)))
 
 
@@ -101,7 +104,7 @@ def to_pose_with_covariance(
     """Return the pose of b in a with its covariance, or None where the solver gave none."""
     if result.covariance is None:
         return None
-    translation, rotation = _vector_and_quaternion(result)
+    translation, rotation = _vector_and_quaternion(result.T_a_b)
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=result.frame_a))
     message.pose.pose = Pose(position=Point(**translation), orientation=Quaternion(**rotation))
     message.pose.covariance = result.covariance.reshape(-1)
@@ -147,7 +150,7 @@ def _to_time(stamp_ns: int) -> Time:
     return Time(sec=sec, nanosec=nanosec)
 
 
-def _vector_and_quaternion(result: CalibrationResult) -> tuple[dict[str, Any], dict[str, Any]]:
-    rotation = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
-    return (dict(zip('xyz', result.T_a_b[:3, 3].tolist(), strict=True)),
+def _vector_and_quaternion(T: FloatArray) -> tuple[dict[str, Any], dict[str, Any]]:
+    rotation = se3.rotation_to_quaternion(T[:3, :3])
+    return (dict(zip('xyz', T[:3, 3].tolist(), strict=True)),
             dict(zip('xyzw', rotation.tolist(), strict=True)))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.advice import Advice, FEWEST_S
+from trajectory_calibration.online.answer import deviations, headline
 from trajectory_calibration.online.buffer import PoseBuffer
-from trajectory_calibration.online.excitation import Excitation
+from trajectory_calibration.online.motion import Motion
 from trajectory_calibration.online.pairing import Pairing
+from trajectory_calibration.online.state import CalibrationState
+from trajectory_calibration.online.verification import Verdict
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.topics import TopicStatus
 
@@ -29,8 +34,8 @@ class InputMonitor:
 
     """
 
-    def __init__(self, name: str, buffer: PoseBuffer, now_s: float) -> None:
-        self.name = name
+    def __init__(self, name: str, buffer: PoseBuffer, now_s: float, sensor: str = '') -> None:
+        self.name, self._sensor = name, sensor
         self.rate_hz = 0.0
         self._buffer = buffer
         self._received = 0
@@ -45,7 +50,17 @@ class InputMonitor:
         self._lost_s = -math.inf
         self._loss = ''
 
-    def report(self, topic: TopicStatus, now_s: float) -> DiagnosticStatus:
+    @property
+    def part(self) -> str:
+        """Return the name of the input without that of the node."""
+        return self.name.rpartition(': ')[2]
+
+    @property
+    def received(self) -> bool:
+        """Whether a message has come."""
+        return self._buffer.received > 0
+
+    def report(self, topic: TopicStatus, now_s: float, lost: int = 0) -> DiagnosticStatus:
         """Return the state of the input; ``now_s`` is a steady time in seconds."""
         buffer = self._buffer
         arrived = buffer.received - self._received
@@ -59,13 +74,17 @@ class InputMonitor:
         elif arrived and self._useless_since_s is None:
             self._useless_since_s = now_s
         self._received, self._reported_s = buffer.received, now_s
-        status = DiagnosticStatus(name=self.name, hardware_id=buffer.frames[1])
+        status = DiagnosticStatus(
+            name=self.name, hardware_id=buffer.frames[1] or self._sensor)
         status.level, status.message = self._judge(topic, now_s)
+        if lost:
+            status.message += f'; {lost} messages lost by DDS'
         span = buffer.span_ns
         status.values = key_values({
             'poses': len(buffer),
             'span_s': f'{(span[1] - span[0]) * 1e-9:.3f}' if span else '0.000',
             'messages': buffer.messages,
+            'messages lost': lost,
             'rate_hz': f'{self.rate_hz:.2f}',
             'world_frame': buffer.frames[0],
             'sensor_frame': buffer.frames[1],
@@ -91,32 +110,32 @@ class InputMonitor:
         if buffer.forgotten <= forgotten:
             return ''
         self._lost_s = now_s
-        lost = f'{buffer.forgotten - forgotten} poses were forgotten'
+        lost = f'{buffer.forgotten - forgotten} poses were dropped'
         if buffer.frame_changes > changes:
             before, now = (' and '.join(name or 'none' for name in frames)
                            for frames in (buffer.frames_before, buffer.frames))
-            self._loss = (f'its frames changed from {before} to {now}, {lost}; unless its sender '
-                          'began anew, see that one sensor alone publishes on the topic')
+            self._loss = (f'the frames changed from {before} to {now}, {lost}; unless the sender '
+                          'was restarted, check that only one sensor publishes on the topic')
         if buffer.clock_jumps > jumps:
-            self._loss = (f'its stamps went back, {lost}; unless a bag began anew, correct the '
-                          'clock of its sender')
+            self._loss = (f'the stamps went back, {lost}; unless a bag was restarted, correct the '
+                          'clock of the sender')
         return self._loss
 
     def _judge(self, topic: TopicStatus, now_s: float) -> tuple[bytes, str]:
         if not topic.ready:
             return DiagnosticStatus.WARN, topic.text
         if self._last_message_s is None:
-            return DiagnosticStatus.WARN, f'{topic.text}: no message yet'
+            return DiagnosticStatus.WARN, f'{topic.text}: no message yet. Does it publish?'
         silent = now_s - self._last_message_s
         if silent > _SILENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
         if self._buffer.messages and not len(self._buffer):
             return DiagnosticStatus.WARN, (
-                f'{topic.text}: none of its poses can be used: {self._buffer.refusals()}')
+                f'{topic.text}: no pose can be used: {self._buffer.refusals()}')
         if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
-            why = self._buffer.refusals() or 'their stamps jumped and hardly go on'
+            why = self._buffer.refusals() or 'the stamps jumped'
             return DiagnosticStatus.WARN, (
-                f'{topic.text}: no pose taken for {now_s - self._useless_since_s:.0f} s: {why}')
+                f'{topic.text}: no pose accepted for {now_s - self._useless_since_s:.0f} s: {why}')
         if self._buffer.forgotten and now_s - self._lost_s < _RECENT_S:
             return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
         if topic.doubt:
@@ -124,14 +143,98 @@ class InputMonitor:
         return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
 
 
-def excitation_values(excitation: Excitation) -> dict[str, object]:
-    """Return the motion so far and what it promises, about the axes of sensor a."""
+@dataclass(frozen=True, eq=False)
+class CalibrationView:
+    """What the status of the calibration is made of.
+
+    Attributes
+    ----------
+    state : outcome of the calibrations so far.
+    motion, advice : so far; the advice is None before the first.
+    limits : wanted standard deviations, metres and degrees.
+    apart_s : time between the trajectories, negative where they overlap.
+    solving : what is being solved in words, '' where nothing is.
+    waiting : a sentence where something must come first, '' otherwise.
+    values : what is reported besides.
+
+    """
+
+    state: CalibrationState
+    motion: Motion
+    advice: Advice | None
+    limits: tuple[float, float]
+    apart_s: float
+    solving: str
+    waiting: str
+    values: dict[str, object]
+
+    @property
+    def sentence(self) -> str:
+        """Return the advice in one sentence."""
+        if self.apart_s > 0:
+            return (f'the stamps of a and b are {self.apart_s:.3f} s apart: correct the clocks, '
+                    'or set time_offset')
+        if len(self.motion) < FEWEST_S:
+            return f'waiting for motion seen by both sensors: {len(self.motion)} s so far'
+        if self.advice is None:
+            return 'judging the motion so far'
+        return self.advice.sentence(*self.limits)
+
+    def report(self, name: str, hardware_id: str) -> DiagnosticStatus:
+        """Return it as a status."""
+        status = DiagnosticStatus(name=name, hardware_id=hardware_id, level=DiagnosticStatus.OK)
+        state, result = self.state, self.state.result
+        if self.solving:
+            status.message = self.solving
+        elif state.last_failure and not state.has_moved_on(self.motion):
+            status.level, status.message = DiagnosticStatus.WARN, state.last_failure
+        elif self.waiting:
+            status.level, status.message = DiagnosticStatus.WARN, self.waiting
+        # A restored answer, or one before a reset, says nothing about what is held.
+        elif state.calibrated and not state.last_failure:
+            status.message = 'calibrated'
+        else:
+            status.message = self.sentence
+        status.values = key_values({
+            **self.values,
+            'advice': self.sentence,
+            'last_failure': state.last_failure,
+            'motion_s': len(self.motion),
+            **advice_values(self.advice),
+            **({} if result is None else {
+                'extrinsic': headline(result), 'standard_deviations': deviations(result),
+                'findings': ' '.join(finding.code for finding in result.findings)}),
+        })
+        return status
+
+
+def advice_values(advice: Advice | None) -> dict[str, object]:
+    """Return what a calibration would say now, about the axes of sensor a."""
+    std = None if advice is None else advice.std
+    if advice is None or advice.result is None or std is None:
+        return {}
+    result = advice.result
     return {
-        'motions': excitation.motions,
-        'rotation_deg_per_motion_xyz': _three(excitation.rotation_deg, 2),
-        'predicted_translation_std_m_xyz': _three(excitation.translation_std, 4),
-        'predicted_rotation_std_deg_xyz': _three(excitation.rotation_std_deg, 3),
+        'rotation_deg_per_motion_xyz': _three(result.observability.excitation_deg, 2),
+        'predicted_translation_std_m_xyz': _three(std[:3], 4),
+        'predicted_rotation_std_deg_xyz': _three(std[3:], 3),
+        'predicted_unobservable': ', '.join(result.observability.unobserved),
+        'predicted_extrinsic': headline(result),
     }
+
+
+def monitor_report(name: str, hardware_id: str, verdict: Verdict | None) -> DiagnosticStatus:
+    """Return whether the published extrinsic still holds."""
+    status = DiagnosticStatus(name=name, hardware_id=hardware_id, level=DiagnosticStatus.OK)
+    if verdict is None:
+        status.message = 'not checked yet: waiting for an extrinsic, and for motion after it'
+        return status
+    status.level = bytes([verdict.level])
+    status.message = verdict.sentence
+    status.values = key_values({
+        'verdict': verdict.verdict, 'status': verdict.exit_status,
+        'checks in a row that found a change': verdict.checks})
+    return status
 
 
 def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[str, object]:
@@ -149,7 +252,7 @@ def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[s
     return values
 
 
-def _three(values: FloatArray, digits: int) -> str:
+def _three(values: Any, digits: int) -> str:
     return ' '.join(f'{value:.{digits}f}' for value in values)
 
 

@@ -42,7 +42,7 @@ def _run(stop: StopSignals, argv: Sequence[str]) -> int:
         sys.stdout.write(f'trajectory_calibration {__version__}\n')
         return 0
     try:
-        from trajectory_calibration.ros.node import main as run
+        from trajectory_calibration.ros.run import main as run
     except ModuleNotFoundError as error:
         name = error.name or ''
         if name.startswith('trajectory_calibration'):

@@ -7,55 +7,55 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
-from rclpy.utilities import get_default_context
 from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
-from trajectory_calibration.online.answer import describe, deviations, headline
-from trajectory_calibration.online.excitation import Excitation, ExcitationMonitor
-from trajectory_calibration.online.options import find_type, to_config, to_limits
+from trajectory_calibration.online.answer import describe
+from trajectory_calibration.online.background import Background, Situation
+from trajectory_calibration.online.motion import measure, Motion
+from trajectory_calibration.online.options import find_frames, find_type, to_config, to_limits
 from trajectory_calibration.online.pairing import count_pairs
-from trajectory_calibration.online.session import CalibrationSession
+from trajectory_calibration.online.restoring import Restored
+from trajectory_calibration.online.session import Calibration, CalibrationSession, name_of
+from trajectory_calibration.online.state import CalibrationState
 from trajectory_calibration.online.store import ResultStore
+from trajectory_calibration.online.verification import Monitor
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.diagnostics import (
-    excitation_values,
+    CalibrationView,
     InputMonitor,
-    key_values,
+    monitor_report,
     pairing_values,
     time_apart_s,
 )
+from trajectory_calibration.ros.frames import VehicleTransforms
 from trajectory_calibration.ros.outputs import ResultPublisher
 from trajectory_calibration.ros.parameters import NodeParameters
-from trajectory_calibration.ros.signals import StopSignals
-from trajectory_calibration.ros.topics import resolve_topic, TrajectorySubscription
+from trajectory_calibration.ros.placing import TransformKeeper
+from trajectory_calibration.ros.topics import (
+    resolve_topic,
+    TrajectorySubscription,
+    TransformSubscription,
+)
+from trajectory_calibration.time_alignment.pairing import is_sparser
 
 NODE_NAME = 'trajectory_calibration'
 
-# Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
-_HIGHEST_DOMAIN = 232
-
 # How often the graph is searched for publishers, and how often the log speaks of bad poses.
 _WATCH_S = 0.2
-_DIAGNOSTICS_S = 1.0
 _REFUSAL_LOG_S = 10.0
+# When the log first says which topics are waited for, and how often it says so again.
+_WAITING_LOG_S, _WAITING_AGAIN_S = 3.0, 30.0
 # How long the end waits for the answer to a caller.
 _FAREWELL_S = 0.5
-
-# How much more motion, of that which it had, there must be before a calibration that failed says
-# nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
-_MORE_MOTION = 0.2
 
 
 class CalibrationNode(Node):
@@ -77,40 +77,48 @@ class CalibrationNode(Node):
                 f'parameters: {error}; if one is an empty list, correct it') from error
         self._settings = NodeParameters(self)
         values = self._settings.values()
-        topics = [resolve_topic(self, values[name]) for name in ('topic_a', 'topic_b')]
+        names = [values[f'topic_{side}'] for side in 'ab']
+        pairs = [find_frames(name) for name in names]
+        topics = [resolve_topic(self, name) if pair is None else name
+                  for name, pair in zip(names, pairs, strict=True)]
         if topics[0] == topics[1]:
             raise ConfigError(
                 f'topic_a and topic_b are both {topics[0]}; needed the topics of two sensors')
+        self._started_s = time.monotonic()
         self._session = CalibrationSession(topics, to_limits(values))
-        buffers = self._session.buffers[0], self._session.buffers[1]
+        self._transforms = VehicleTransforms(
+            self, publish=values['publish_tf'], moving=any(pairs),
+            depth=values['queue_depth'])
+        self._tf = TransformKeeper(self, self._transforms)
         self._inputs = [
             TrajectorySubscription(
-                self, values[f'topic_{side}'], find_type(values[f'type_{side}']), buffer,
-                values['queue_depth'])
-            for side, buffer in zip('ab', buffers, strict=True)]
+                self, name, find_type(values[f'type_{side}']), buffer, values['queue_depth'])
+            if pair is None else TransformSubscription(name, pair, self._transforms, buffer)
+            for side, name, pair, buffer in zip(
+                'ab', names, pairs, self._session.buffers, strict=True)]
         self._monitors = [
-            InputMonitor(f'{self.get_fully_qualified_name()}: {name}', buffer, time.monotonic())
-            for name, buffer in zip(('trajectory_a', 'trajectory_b'), buffers, strict=True)]
+            InputMonitor(self._status_name(name), buffer, self._started_s, name_of(topic))
+            for name, buffer, topic in zip(
+                ('trajectory_a', 'trajectory_b'), self._session.buffers, topics, strict=True)]
         self._refusals_logged_s = 0.0
-        self._result: CalibrationResult | None = None
-        self._last_failure = ''
+        self._waiting_logged_s = self._started_s - _WAITING_AGAIN_S + _WAITING_LOG_S
 
+        self._state = CalibrationState()
         self._solved = self.create_guard_condition(self._on_solved)
-        self._solver = SolverProcess(done=self._solved.trigger)
+        self._solver: SolverProcess[Calibration] = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
         # Whether a caller of ~/calibrate waits.
         self._called = False
-        self._excitation = ExcitationMonitor()
-        self._calibrated = False
-        # Motions driven when a calibration was tried last, and that it had.
-        self._tried = (0, 0)
+        self._judged = self.create_guard_condition(self._on_judged)
+        self._background = Background(self._session, self._judged.trigger, self._started_s)
+        self._monitor = (Monitor(values['monitor_period'], values['monitor_window'])
+                         if values['monitor'] else None)
 
         self._store = None
         if values['result_directory']:
             self._store = ResultStore(
                 values['result_directory'], self.get_fully_qualified_name())
-
-        self._publisher = ResultPublisher(self, publish_tf=values['publish_tf'])
+        self._publisher = ResultPublisher(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # A call that waits for the solver must not hold up its neighbours.
         group = ReentrantCallbackGroup()
@@ -120,10 +128,10 @@ class CalibrationNode(Node):
         self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
         # Steady: with use_sim_time the node's own clock stands still until a bag plays.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_WATCH_S, self._watch_topics, clock=steady)
-        self.create_timer(_DIAGNOSTICS_S, self._report, clock=steady)
-        if values['restore']:
-            self._restore()
+        self.create_timer(_WATCH_S, self._watch, clock=steady)
+        self.create_timer(values['diagnostic_updater.period'], self._report, clock=steady)
+        self._restored = self._find_restored() if values['restore'] else None
+        self._offer_restored()
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any,
@@ -148,13 +156,25 @@ class CalibrationNode(Node):
             executor.spin_once(timeout_sec=0.05)
 
     def shutdown(self) -> None:
-        """Stop a running calibration and destroy the node."""
+        """Stop what runs and destroy the node."""
         self._solver.shutdown()
+        self._background.shutdown()
         self.destroy_node()
 
-    def _watch_topics(self) -> None:
+    def _status_name(self, part: str) -> str:
+        """Return the name of a status as diagnostic_updater writes it.
+
+        In a namespace with the full name of the node, as with its ``use_fqn``: two pairs of
+        sensors are two nodes of one name.
+        """
+        full = self.get_fully_qualified_name()
+        return f'{full if self.get_namespace() != "/" else self.get_name()}: {part}'
+
+    def _watch(self) -> None:
         for item in self._inputs:
             item.update()
+        self._offer_restored()
+        self._tf.settle()
 
     async def _on_calibrate(
         self, request: Trigger.Request, response: Trigger.Response,
@@ -170,22 +190,26 @@ class CalibrationNode(Node):
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
-        excitation = self._observe(values)[0]
-        self._tried = excitation.driven, excitation.motions
-        job = self._session.job(to_config(values), (values['frame_a'], values['frame_b']))
+        for item in self._inputs:
+            item.update()
+        # It computes the same, and the caller waits.
+        self._background.stop('a calibration was called for')
+        self._state.started(self._measure(values))
+        job = self._session.job(to_config(values), _frames(values))
         self._solver.start(job, values['calibration_timeout'])
 
     def _on_reset(
         self, request: Trigger.Request, response: Trigger.Response,
     ) -> Trigger.Response:
         del request
-        poses_a, poses_b = len(self._session.buffers[0]), len(self._session.buffers[1])
+        poses_a, poses_b = map(len, self._session.buffers)
         self._solver.cancel('stopped by a reset')
+        self._background.reset()
         self._session.reset()
-        self._calibrated, self._tried, self._last_failure = False, (0, 0), ''
+        self._state.reset()
         response.success = True
         response.message = (
-            f'forgot {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
+            f'dropped {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
         self.get_logger().info(response.message)
         return response
 
@@ -193,12 +217,12 @@ class CalibrationNode(Node):
         self, request: Trigger.Request, response: Trigger.Response,
     ) -> Trigger.Response:
         del request
-        if self._result is None:
+        if self._state.result is None:
             response.message = 'nothing to save: no calibration has succeeded yet'
         elif self._store is None:
             response.message = 'result_directory is empty; start the node with a folder'
         else:
-            response.success, response.message = self._save(self._store, self._result)
+            response.success, response.message = self._save(self._store, self._state.result)
         return response
 
     def _save(self, store: ResultStore, result: CalibrationResult) -> tuple[bool, str]:
@@ -209,19 +233,40 @@ class CalibrationNode(Node):
             self.get_logger().error(str(error))
             return False, f'not saved: {error}'
 
-    def _restore(self) -> None:
-        """Publish the newest saved result; a vehicle without one starts all the same."""
+    def _find_restored(self) -> Restored | None:
+        """Return the newest saved result; a vehicle without one starts all the same."""
         try:
             found = self._store.latest() if self._store is not None else None
         except ResultError as error:
             self.get_logger().error(f'nothing restored: {error}')
-            return
+            return None
         if found is None:
             self.get_logger().warning('nothing restored: result_directory holds no result yet')
+            return None
+        return Restored(*found)
+
+    def _offer_restored(self) -> None:
+        """Publish the restored result as soon as its frames are those of the vehicle."""
+        if self._restored is None or self._state.result is not None:
             return
-        path, self._result = found
-        self._publisher.publish(self._result, None)
-        self.get_logger().info(f'restored {path}: {describe(self._result)}')
+        refusal = self._restored.compare(
+            self._session.frames(_frames(self._settings.values())))
+        if refusal is None:
+            return
+        restored, self._restored = self._restored, None
+        if refusal:
+            self._state.last_failure = refusal
+            self.get_logger().error(refusal)
+            return
+        self._state.restored(restored.result)
+        self._publish(restored.result, None, restored=True)
+        self.get_logger().info(f'restored {restored.path}: {describe(restored.result)}')
+
+    def _publish(self, result: CalibrationResult, overlay: Any, *, restored: bool) -> None:
+        self._publisher.publish(result, overlay)
+        if self._monitor is not None:
+            self._monitor.watch(result, self._session, restored=restored)
+        self._tf.take(result, self._session.invented(_frames(self._settings.values())))
 
     def _on_solved(self) -> None:
         """Publish what the solver found and answer the call that waits for it."""
@@ -233,20 +278,28 @@ class CalibrationNode(Node):
             self.get_logger().info(f'calibration {outcome}')
             answer = False, str(outcome)
         elif isinstance(outcome, CalibrationError):
-            self._last_failure = f'calibration failed: {outcome}'
-            self.get_logger().warning(self._last_failure)
+            self._state.failed(str(outcome))
+            self.get_logger().warning(self._state.last_failure)
             answer = False, str(outcome)
         else:
-            result = self._result = outcome.result
-            self._last_failure, self._calibrated = '', True
-            self._publisher.publish(result, outcome.overlay)
+            result = outcome.result
+            self._state.succeeded(result)
+            self._publish(result, outcome.overlay, restored=False)
             file = '' if self._store is None else self._save(self._store, result)[1]
-            text = describe(result, file)
+            text = describe(result, file, self._tf.today(result), self._tf.placed)
             answer = True, text
             self.get_logger().info(text)
         if self._answer is not None:
             self._answer.set_result(answer)
             self._answer = None
+
+    def _on_judged(self) -> None:
+        """Take what the background found; say in the log when the extrinsic no longer holds."""
+        before = self._background.verdict
+        self._background.take(time.monotonic())
+        verdict = self._background.verdict
+        if verdict is not None and verdict is not before and verdict.level:
+            self.get_logger().warning(f'the published extrinsic: {verdict.sentence}')
 
     def _report(self) -> None:
         now_s = time.monotonic()
@@ -255,16 +308,21 @@ class CalibrationNode(Node):
             if loss:
                 self.get_logger().warning(f'{monitor.name}: {loss}')
         statuses = [
-            monitor.report(item.status, now_s)
+            monitor.report(item.status, now_s, item.lost)
             for monitor, item in zip(self._monitors, self._inputs, strict=True)]
+        self._log_waiting(statuses, now_s)
         values = self._settings.values()
-        excitation, offset_s = self._observe(values)
-        statuses.append(self._calibration_status(values, excitation, offset_s))
+        motion = self._measure(values)
+        self._judge(values, motion, now_s)
+        hardware_id = ', '.join(status.hardware_id for status in statuses)
+        view = self._view(values, motion, now_s)
+        statuses.append(view.report(self._status_name('calibration'), hardware_id))
+        if self._monitor is not None:
+            statuses.append(monitor_report(
+                self._status_name('monitor'), hardware_id, self._background.verdict))
         message = DiagnosticArray(status=statuses)
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-        if values['auto_calibrate']:
-            self._calibrate_when_ready(values, excitation)
         if now_s - self._refusals_logged_s >= _REFUSAL_LOG_S:
             for monitor in self._monitors:
                 refusals = monitor.new_refusals()
@@ -272,108 +330,60 @@ class CalibrationNode(Node):
                     self._refusals_logged_s = now_s
                     self.get_logger().warning(f'{monitor.name}: {refusals}')
 
-    def _observe(self, values: Mapping[str, Any]) -> tuple[Excitation, float]:
-        """Return the motion so far, and the seconds added to the stamps of b for it."""
-        # A calibration of this run may have found the clock offset.
-        offset_s = (self._result.time_offset_s if self._calibrated and self._result is not None
-                    else values['time_offset'])
-        return self._excitation.update(
-            self._session.buffers[0], self._session.buffers[1], round(offset_s * 1e9),
-            round(values['max_gap'] * 1e9), to_config(values)), offset_s
+    def _log_waiting(self, statuses: Sequence[DiagnosticStatus], now_s: float) -> None:
+        """Say in the log which topics are waited for: early, and again now and then."""
+        if now_s - self._waiting_logged_s < _WAITING_AGAIN_S:
+            return
+        self._waiting_logged_s = now_s
+        for monitor, status in zip(self._monitors, statuses, strict=False):
+            if not monitor.received:
+                self.get_logger().info(f'waiting for {monitor.part}: {status.message}')
 
-    def _clock_offset(self) -> str:
-        """Return the clock offset that a calibration since the last reset found, or ''."""
-        result = self._result
-        if (result is None or not self._calibrated
-                or result.config.mode('time_offset') == 'fixed'):
-            return ''
-        return f'{result.time_offset_s:.4f}'
+    def _measure(self, values: Mapping[str, Any]) -> Motion:
+        offset_s = self._state.time_offset_s(values['time_offset'])
+        return measure(self._session.buffers, (0, round(offset_s * 1e9)))
 
-    def _has_moved_on(self, excitation: Excitation) -> bool:
-        """Return whether the data differ much from those of the last calibration."""
-        # Fewer motions are those of a buffer that started anew.
-        driven, motions = self._tried
-        return not driven <= excitation.driven <= driven + _MORE_MOTION * motions
-
-    def _calibrate_when_ready(
-        self, values: Mapping[str, Any], excitation: Excitation,
-    ) -> None:
-        """Calibrate once since the start or the last reset; after a failure, with more motion."""
+    def _judge(self, values: Mapping[str, Any], motion: Motion, now_s: float) -> None:
+        """Have the advice kept up to date, and calibrate where it says so and is asked to."""
+        if self._solver.busy:
+            return
+        config, frames = to_config(values), _frames(values)
+        monitor = self._monitor
+        self._background.poll(Situation(
+            motion, config, frames, values['calibration_timeout'],
+            lambda: monitor and monitor.job(self._session, frames, config, now_s)), now_s)
+        advice = self._background.advice
         limits = values['target_translation_std'], values['target_rotation_std']
-        if (not self._solver.busy and not self._calibrated and self._has_moved_on(excitation)
-                and excitation.sufficient(*limits)):
-            self.get_logger().info(f'enough motion ({excitation.motions} s): calibrating')
+        if (values['auto_calibrate'] and not self._state.calibrated and advice is not None
+                and self._state.has_moved_on(motion) and advice.sufficient(*limits)):
+            self.get_logger().info(f'enough motion ({len(motion)} s): calibrating')
             self._start_solver(values)
 
-    def _calibration_status(
-        self, values: Mapping[str, Any], excitation: Excitation, offset_s: float,
-    ) -> DiagnosticStatus:
-        session, result = self._session, self._result
-        apart_s = time_apart_s(session.buffers[0], session.buffers[1], offset_s)
-        if apart_s > 0:
-            advice = (f'the stamps of a and b are {apart_s:.3f} s apart: correct the clocks, or '
-                      'set time_offset')
-        else:
-            advice = excitation.advice(
-                values['frame_a'] or session.buffers[0].frames[1] or 'sensor a',
-                values['target_translation_std'], values['target_rotation_std'])
-        status = DiagnosticStatus(
-            name=f'{self.get_fully_qualified_name()}: calibration', level=DiagnosticStatus.OK)
-        if self._solver.busy:
-            status.message = 'calibrating'
-        elif self._last_failure and not self._has_moved_on(excitation):
-            status.level, status.message = DiagnosticStatus.WARN, self._last_failure
-        # A restored answer, or one before a reset, says nothing about what is held.
-        elif self._calibrated and not self._last_failure:
-            status.message = 'calibrated'
-        else:
-            status.message = advice
-        status.values = key_values({
-            'solver': values['solver'],
-            'overlap_s': f'{max(0.0, -apart_s):.3f}',
-            'time_offset': f'{values["time_offset"]:.4f}',
-            'clock_offset_s': self._clock_offset(),
-            **pairing_values(count_pairs(
-                session.buffers[0], session.buffers[1], round(offset_s * 1e9),
-                round(values['max_gap'] * 1e9),
-                at_a=self._excitation.at_a and values['association'] == 'auto'), result),
-            'advice': advice,
-            'last_failure': self._last_failure,
-            **excitation_values(excitation),
-            **({} if result is None else {
-                'extrinsic': headline(result), 'standard_deviations': deviations(result)}),
-        })
-        return status
+    def _view(self, values: Mapping[str, Any], motion: Motion, now_s: float) -> CalibrationView:
+        a, b = self._session.buffers
+        offset_s = self._state.time_offset_s(values['time_offset'])
+        apart_s = time_apart_s(a, b, offset_s)
+        solving = '' if not self._solver.busy else (
+            f'calibrating for {now_s - self._solver.started_s:.0f} s, at most '
+            f'{values["calibration_timeout"]:g} s')
+        result = self._state.result
+        return CalibrationView(
+            self._state, motion, self._background.advice,
+            (values['target_translation_std'], values['target_rotation_std']), apart_s, solving,
+            '' if self._restored is None else self._restored.waiting,
+            {
+                'solver': values['solver'],
+                'overlap_s': f'{max(0.0, -apart_s):.3f}',
+                'time_offset': f'{values["time_offset"]:.4f}',
+                'clock_offset_s': self._state.found_offset(),
+                **pairing_values(count_pairs(
+                    a, b, round(offset_s * 1e9), round(values['max_gap'] * 1e9),
+                    at_a=values['association'] == 'auto' and is_sparser(
+                        a.stamps_ns, b.stamps_ns)), result),
+                'tf': self._tf.placed,
+                'vehicle_today': self._tf.today(result),
+            })
 
 
-def _init(args: Sequence[str] | None) -> None:
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, UnicodeEncodeError) as error:
-        raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
-    domain = get_default_context().get_domain_id()
-    if domain > _HIGHEST_DOMAIN:
-        raise ConfigError(f'ROS_DOMAIN_ID is {domain}, needed 0 to {_HIGHEST_DOMAIN}')
-
-
-def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
-    """Run the node until a signal, which ``stop`` notes; return the exit status."""
-    stop = stop or StopSignals()
-    node = None
-    try:
-        _init(args)
-        executor = SingleThreadedExecutor()
-        node = CalibrationNode()
-        executor.add_node(node)
-        while rclpy.ok() and not stop.received:
-            executor.spin_once(timeout_sec=0.2)
-        node.take_leave(executor)
-        executor.shutdown()
-    except ConfigError as error:
-        get_logger(NODE_NAME).fatal(str(error))
-        return 2
-    finally:
-        if node is not None:
-            node.shutdown()
-        rclpy.try_shutdown()
-    return 0
+def _frames(values: Mapping[str, Any]) -> tuple[str, str]:
+    return values['frame_a'], values['frame_b']

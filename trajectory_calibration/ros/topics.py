@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.feed import PoseFeed
 from trajectory_calibration.ros.conversions import MESSAGE_TYPES, RosDeserialiser
+from trajectory_calibration.ros.frames import VehicleTransforms
 from trajectory_calibration.sources.cdr import PATH
+from trajectory_calibration.sources.transforms import ChainFollower
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class TrajectorySubscription:
     Attributes
     ----------
     status : what a person should know about it.
+    lost : messages that DDS says it lost.
 
     """
 
@@ -66,6 +71,7 @@ class TrajectorySubscription:
         self._msgtype: str | None = None
         self._profile: QoSProfile | None = None
         self._subscription: Subscription | None = None
+        self.lost = 0
         self.status = TopicStatus(f'waiting for a publisher on {self._topic}')
 
     def update(self) -> None:
@@ -73,7 +79,7 @@ class TrajectorySubscription:
         publishers = self._node.get_publishers_info_by_topic(self._name)
         if not publishers:
             self.status = TopicStatus(
-                f'no publisher on {self._topic}; start it, or set or remap the topic')
+                f'no publisher on {self._topic}; start it, or correct the topic')
             return
         offered = sorted({publisher.topic_type for publisher in publishers})
         msgtype = self._wanted or self._only_type(offered)
@@ -81,8 +87,8 @@ class TrajectorySubscription:
             return
         if msgtype not in offered:
             self.status = TopicStatus(
-                f'{self._topic} carries {" and ".join(offered)}, the parameter says '
-                f'{msgtype}; correct it or set auto')
+                f'{self._topic} carries {" and ".join(offered)}, the type parameter says '
+                f'{msgtype}; correct it, or set auto')
             return
         profile = self._fitting_profile(
             msgtype, [publisher for publisher in publishers if publisher.topic_type == msgtype])
@@ -106,6 +112,9 @@ class TrajectorySubscription:
         profile.durability = DurabilityPolicy.VOLATILE
         return profile
 
+    def _on_lost(self, event: QoSMessageLostInfo) -> None:
+        self.lost += event.total_count_change
+
     def _only_type(self, offered: Sequence[str]) -> str | None:
         """Return the one usable type on offer, or say in the status why there is none."""
         usable = [name for name in offered if name in MESSAGE_TYPES]
@@ -114,7 +123,7 @@ class TrajectorySubscription:
         carries = f'{self._topic} carries {" and ".join(offered)}'
         self.status = TopicStatus(
             f'{carries}; set the type parameter to one of them' if usable else
-            f'{carries}, which is no trajectory; needed one of {", ".join(MESSAGE_TYPES)}')
+            f'{carries}, which holds no trajectory; needed one of {", ".join(MESSAGE_TYPES)}')
         return None
 
     def _subscribe(self, msgtype: str, profile: QoSProfile) -> None:
@@ -126,9 +135,55 @@ class TrajectorySubscription:
         self._msgtype, self._profile = msgtype, profile
         self._subscription = self._node.create_subscription(
             MESSAGE_TYPES[msgtype], self._name,
-            PoseFeed(msgtype, self._buffer, RosDeserialiser()), profile, raw=True)
+            PoseFeed(msgtype, self._buffer, RosDeserialiser()), profile, raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost))
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')
+
+
+class TransformSubscription:
+    """One input of the node that is a pair of frames of /tf, ``tf:map.base_link``.
+
+    Parameters
+    ----------
+    name : str
+        As configured.
+    frames : tuple of str
+        The parent and the child frame.
+    transforms : VehicleTransforms
+        That hears them.
+    buffer : PoseBuffer
+        That takes the poses.
+
+    Attributes
+    ----------
+    status : what a person should know about it.
+    lost : messages lost; of /tf nobody counts them.
+
+    """
+
+    def __init__(
+        self, name: str, frames: tuple[str, str], transforms: VehicleTransforms,
+        buffer: PoseBuffer,
+    ) -> None:
+        self._name, self._frames, self._buffer = name, frames, buffer
+        self._follower = ChainFollower(*frames)
+        transforms.follow(self._follower)
+        self.lost = 0
+        self.status = TopicStatus(f'waiting for {name}')
+
+    def update(self) -> None:
+        """Take the poses that became known since the last call."""
+        stamps_ns, poses = self._follower.take()
+        if len(stamps_ns):
+            quaternions = se3.rotation_to_quaternion(poses[:, :3, :3])
+            for stamp, position, quaternion in zip(
+                    stamps_ns.tolist(), poses[:, :3, 3].tolist(), quaternions.tolist(),
+                    strict=True):
+                self._buffer.append(stamp, self._frames, (*position, *quaternion))
+        waiting = self._follower.waiting_for
+        self.status = (TopicStatus(f'{self._name}: {waiting}') if waiting else
+                       TopicStatus(f'{self._name} from /tf', ready=True))
 
 
 def resolve_topic(node: Node, topic: str) -> str:

@@ -1,0 +1,146 @@
+"""What ``~/calibrate`` would answer now, and what the driver should do about it.
+
+The advice is the calibration itself, on the poses held so far, thinned where they are very many,
+in the solver process: what it predicts is what the call will say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trajectory_calibration.assessment.observability import axis_name
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import CalibrationError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.track import Track
+from trajectory_calibration.pipeline import calibrate
+from trajectory_calibration.result import CalibrationResult
+
+# Seconds of motion of both sensors below which no calibration is tried.
+FEWEST_S = 5
+
+# Turns about one axis are all there is where those about the others are less than this share.
+_SINGLE = 0.1
+
+# A standard deviation so many times its limit is no number worth naming.
+_HOPELESS = 100.0
+
+_UNITS = ('m', 'm', 'm', 'deg', 'deg', 'deg')
+_DIRECTIONS = ('translation along x', 'translation along y', 'translation along z',
+               'rotation about x', 'rotation about y', 'rotation about z')
+
+
+@dataclass(frozen=True, eq=False)
+class Advice:
+    """What a calibration of the poses held so far says.
+
+    Attributes
+    ----------
+    result : its result, None where it failed.
+    failure : why it failed, '' where it did not.
+    missing : (3,) unit vector in a: the direction of the translation that the result may leave
+        open, None where there is none.
+
+    """
+
+    result: CalibrationResult | None = None
+    failure: str = ''
+    missing: FloatArray | None = None
+
+    @property
+    def std(self) -> FloatArray | None:
+        """Return (6,) standard deviations, metres and degrees, or None."""
+        if self.result is None or self.result.covariance is None:
+            return None
+        std = np.sqrt(np.maximum(np.diagonal(self.result.covariance), 0.0))
+        return np.concatenate([std[:3], np.rad2deg(std[3:])])
+
+    def sufficient(self, translation_limit: float, rotation_limit_deg: float) -> bool:
+        """Return whether what is asked for is within the limits, metres and degrees."""
+        ratios = self._ratios(translation_limit, rotation_limit_deg)
+        return ratios is not None and bool((ratios <= 1.0).all())
+
+    def sentence(self, translation_limit: float, rotation_limit_deg: float) -> str:
+        """Return one sentence for the driver."""
+        ratios = self._ratios(translation_limit, rotation_limit_deg)
+        if self.result is None or ratios is None:
+            return f'drive on: a calibration would fail now: {self.failure}'
+        result = self.result
+        if (ratios <= 1.0).all():
+            left_out = ('' if self.missing is None else
+                        f'; translation along {axis_name(self.missing)} of {result.frame_a} '
+                        'stays open')
+            return f'enough motion: call ~/calibrate{left_out}'
+        worst = int(np.argmax(ratios))
+        name = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')[worst]
+        limit = translation_limit if worst < 3 else rotation_limit_deg
+        std = self.std
+        unknown = (std is None or name in result.observability.unobserved
+                   or ratios[worst] > _HOPELESS)
+        known = ('is not determined' if unknown or std is None else
+                 f'has a standard deviation of {std[worst]:.2g} {_UNITS[worst]}')
+        return (f'{_manoeuvre(worst, result)}: {_DIRECTIONS[worst]} of {result.frame_a} {known}, '
+                f'needed {limit:g} {_UNITS[worst]}')
+
+    def _ratios(self, translation_limit: float, rotation_limit_deg: float) -> FloatArray | None:
+        """Return (6,) standard deviations over their limits, of what is asked for."""
+        std = self.std
+        if std is None or self.result is None or self.result.covariance is None:
+            return None
+        if self.missing is not None:
+            across = np.eye(3) - np.outer(self.missing, self.missing)
+            translation = across @ self.result.covariance[:3, :3] @ across
+            std[:3] = np.sqrt(np.maximum(np.diagonal(translation), 0.0))
+        ratios: FloatArray = std / np.repeat([translation_limit, rotation_limit_deg], 3)
+        return ratios
+
+
+@dataclass(frozen=True, eq=False)
+class AdviceJob:
+    """A calibration for advice, copied at the moment it was asked for."""
+
+    track_a: Track
+    track_b: Track
+    config: CalibrationConfig
+
+    def run(self) -> Advice:
+        """Calibrate; what fails is advice, too."""
+        tracks = self.track_a, self.track_b
+        # A reference by number counts poses: thinned, it would be another one.
+        if self.config.reference == 'auto':
+            tracks = tracks[0].thinned(), tracks[1].thinned()
+        config = replace(self.config, allow_unobserved=True)
+        try:
+            result = calibrate(tracks[0].trajectory(), tracks[1].trajectory(), config)
+        except CalibrationError as error:
+            return Advice(failure=str(error))
+        if result.covariance is None:
+            return Advice(failure='the solver gives no standard deviations')
+        # Only for the node's diagnostics: a mask of each motion is not worth sending.
+        return Advice(replace(result, inliers=None), missing=_missing(result, self.config))
+
+
+def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray | None:
+    if not config.allow_unobserved or result.covariance is None:
+        return None
+    variances, axes = np.linalg.eigh(result.covariance[:3, :3])
+    open_ = np.sqrt(max(float(variances[2]), 0.0)) > config.unobserved_translation
+    return axes[:, 2] if open_ else None
+
+
+def _manoeuvre(worst: int, result: CalibrationResult) -> str:
+    """Return what to drive, or to give, for the worst component."""
+    frame = result.frame_a
+    turned = np.array(result.observability.excitation_deg)
+    weakest, middle, most = np.argsort(turned)
+    if turned[most] and turned[middle] <= _SINGLE * turned[most]:
+        if worst == most:
+            return (f'drive a ramp or a bank, or give prior_translation along {"xyz"[most]} of '
+                    f'{frame}')
+        if worst == 3 + most:
+            return 'drive farther, not on the spot, and curves both ways'
+    if not turned[most]:
+        return 'drive curves, and a ramp or a bank'
+    return f'turn more about {"xyz"[weakest]} of {frame}'

@@ -1,0 +1,152 @@
+"""What the node computes unasked, beside the calls: advice, and whether its answer still holds.
+
+One process at a time, at the lowest priority, within a budget of CPU time: while driving there
+is other work to do. A call of ``~/calibrate`` goes first and stops it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import CalibrationError
+from trajectory_calibration.fleet.verification import CANNOT_TELL
+from trajectory_calibration.online.advice import Advice, AdviceJob, FEWEST_S
+from trajectory_calibration.online.motion import Motion, NO_MOTION
+from trajectory_calibration.online.session import CalibrationSession
+from trajectory_calibration.online.verification import MonitorJob, Verdict
+from trajectory_calibration.online.worker import SolverProcess, StoppedError
+
+# Share of one core that all of it may take in the long run, and CPU seconds that may be spent
+# at once where less was used before: a drive begins with many short calibrations.
+CPU_SHARE = 0.03
+CPU_CREDIT_S = 10.0
+
+# A new advice is due after this share of more motion than the last one had, and not more often
+# than this, seconds.
+_MORE_MOTION = 0.15
+_SHORTEST_PAUSE_S = 2.0
+
+
+class Budget:
+    """CPU time that comes in steadily and is spent in portions."""
+
+    def __init__(self, now_s: float) -> None:
+        self._credit_s, self._at_s = CPU_CREDIT_S, now_s
+
+    def allows(self, now_s: float) -> bool:
+        """Return whether something may be spent now."""
+        earned = CPU_SHARE * (now_s - self._at_s)
+        self._credit_s, self._at_s = min(self._credit_s + earned, CPU_CREDIT_S), now_s
+        return self._credit_s > 0.0
+
+    def spend(self, cpu_s: float) -> None:
+        """Take what was used; the credit may become negative."""
+        self._credit_s -= cpu_s
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What the background looks at once a second.
+
+    Attributes
+    ----------
+    motion : held in the buffers.
+    config, frames : how a calibration would be made now.
+    check : called where there is time for it, returns the check of the published answer that is
+        due, or None.
+
+    """
+
+    motion: Motion
+    config: CalibrationConfig
+    frames: tuple[str, str]
+    timeout_s: float
+    check: Callable[[], MonitorJob | None] = lambda: None
+
+
+class Background:
+    """Runs advice and monitoring of one session.
+
+    Parameters
+    ----------
+    done : callable
+        Called from another thread when ``take`` has something to take.
+
+    Attributes
+    ----------
+    advice : of the last calibration for advice, None before the first since a reset.
+    verdict : of the last check of the published answer, None before the first.
+
+    """
+
+    def __init__(self, session: CalibrationSession, done: Callable[[], None], now_s: float,
+                 ) -> None:
+        self._session = session
+        self._process: SolverProcess[Advice | Verdict] = SolverProcess(done)
+        self._budget = Budget(now_s)
+        self._ended_s = now_s
+        # Motion and settings of the last advice.
+        self._advised: Motion = NO_MOTION
+        self._settings: tuple[object, ...] = ()
+        self._monitoring = False
+        self.advice: Advice | None = None
+        self.verdict: Verdict | None = None
+
+    def poll(self, now: Situation, now_s: float) -> None:
+        """Start what is due; once a second or so."""
+        settings = now.config, now.frames
+        if not now.motion.continues(self._advised):
+            # What was advised before is about other poses.
+            self.advice, self._advised = None, NO_MOTION
+        if (self._process.busy or not self._budget.allows(now_s)
+                or now_s - self._ended_s < _SHORTEST_PAUSE_S):
+            return
+        more = now.motion.since(self._advised) >= max(1.0, _MORE_MOTION * len(self._advised))
+        if len(now.motion) >= FEWEST_S and (more or settings != self._settings):
+            self._advised, self._settings = now.motion, settings
+            track_a, track_b = self._session.tracks(now.frames)
+            self._start(AdviceJob(track_a, track_b, now.config), now.timeout_s)
+            return
+        check = now.check()
+        if check is not None:
+            self._start(check, now.timeout_s)
+
+    def take(self, now_s: float) -> Advice | Verdict | None:
+        """Take what the process found; None where it was stopped."""
+        if not self._process.busy:
+            return None
+        outcome = self._process.take_outcome()
+        self._budget.spend(self._process.cpu_s)
+        self._ended_s = now_s
+        if isinstance(outcome, StoppedError):
+            # So that the next poll asks again.
+            self._settings = ()
+            return None
+        if isinstance(outcome, CalibrationError):
+            outcome = (Verdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
+                       else Advice(failure=str(outcome)))
+        if isinstance(outcome, Advice):
+            self.advice = outcome
+        else:
+            self.verdict = outcome.following(self.verdict)
+        return outcome
+
+    def stop(self, reason: str) -> None:
+        """Stop what runs; its outcome is none."""
+        if self._process.busy:
+            self._process.cancel(reason)
+
+    def reset(self) -> None:
+        """Forget what was advised, and stop what runs."""
+        self.stop('stopped by a reset')
+        self.advice, self._advised, self._settings = None, NO_MOTION, ()
+
+    def shutdown(self) -> None:
+        """Stop whatever runs and wait for its end."""
+        self._process.shutdown()
+
+    def _start(self, job: AdviceJob | MonitorJob, timeout_s: float) -> None:
+        self._monitoring = isinstance(job, MonitorJob)
+        self._process.start(job, timeout_s)

@@ -1,0 +1,67 @@
+"""How much the vehicle has moved so far, and whether that has grown.
+
+Counted in whole seconds with poses of every sensor: of a standstill a buffer keeps one pose, so
+that a vehicle that waits adds nothing. It costs about a millisecond with 100,000 poses held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.online.buffer import PoseBuffer
+
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The motion that the buffers hold.
+
+    Attributes
+    ----------
+    seconds : (N,) int64, ascending: whole seconds, on the clock of the first sensor, in which
+        every sensor has poses.
+    forgotten : poses that the buffers gave up, for a clock that went back or other frames.
+
+    """
+
+    seconds: NDArray[np.int64]
+    forgotten: int = 0
+
+    def __len__(self) -> int:
+        return len(self.seconds)
+
+    def since(self, earlier: Motion) -> int:
+        """Return the seconds of motion that are newer than all of an earlier state."""
+        if not len(earlier):
+            return len(self)
+        return len(self) - int(np.searchsorted(self.seconds, earlier.seconds[-1], 'right'))
+
+    def continues(self, earlier: Motion) -> bool:
+        """Return whether an earlier state is the past of this one, no buffer having begun anew."""
+        if self.forgotten != earlier.forgotten or (len(earlier) and not len(self)):
+            return False
+        return not len(earlier) or bool(self.seconds[-1] >= earlier.seconds[-1])
+
+
+NO_MOTION = Motion(np.empty(0, np.int64))
+
+
+def measure(buffers: Sequence[PoseBuffer], offsets_ns: Sequence[int]) -> Motion:
+    """Return the motion held; ``offsets_ns`` is added to the stamps of each sensor."""
+    seconds = [_seconds(buffer.stamps_ns, offset_ns)
+               for buffer, offset_ns in zip(buffers, offsets_ns, strict=True)]
+    common = reduce(lambda a, b: np.intersect1d(a, b, assume_unique=True), seconds)
+    return Motion(common, sum(buffer.forgotten for buffer in buffers))
+
+
+def _seconds(stamps_ns: NDArray[np.int64], offset_ns: int) -> NDArray[np.int64]:
+    """Return the (K,) different whole seconds of (N,) ascending stamps."""
+    seconds = (stamps_ns + offset_ns) // _SECOND_NS
+    different: NDArray[np.int64] = seconds[np.diff(seconds, prepend=-2**62) != 0]
+    return different

@@ -1,0 +1,70 @@
+"""What a buffer held at one moment, whole or in part."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# A track of more poses is thinned, but never to longer steps than this: what lies between two
+# poses is interpolated, and the clock offset is found from what remains.
+_MANY_POSES = 20_000
+_LONGEST_STEP_NS = 100_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What a buffer held at one moment; independent of it, cheap to send to another process.
+
+    Attributes
+    ----------
+    stamps_ns : (N,) int64, strictly increasing.
+    poses : (N, 7) position x, y, z (metres) and quaternion x, y, z, w in the world.
+    world_frame, sensor_frame : names of the two frames.
+    warnings : what was refused, for the result.
+
+    """
+
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+    world_frame: str
+    sensor_frame: str
+    warnings: tuple[str, ...] = ()
+
+    def trajectory(self) -> Trajectory:
+        """Return the poses as a Trajectory; raises TrajectoryError for fewer than two."""
+        if len(self.stamps_ns) < 2:
+            notes = ''.join(f'; {note}' for note in self.warnings)
+            raise TrajectoryError(
+                f'{self.sensor_frame}: {len(self.stamps_ns)} poses received, needed at least 2; '
+                f'check that the topic is published, and drive{notes}')
+        return Trajectory.from_quaternions(
+            self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
+            self.sensor_frame,
+            tuple(Finding('input-repaired', note) for note in self.warnings))
+
+    def thinned(self) -> Track:
+        """Return every n-th pose of a long track at a high rate; a short one as it is.
+
+        The standard deviations of a calibration change little by it: errors that accumulate
+        are in the poses that stay, too.
+        """
+        count = len(self.stamps_ns)
+        if count <= _MANY_POSES:
+            return self
+        usual_ns = max(int(np.median(np.diff(self.stamps_ns))), 1)
+        stride = min(count // _MANY_POSES, _LONGEST_STEP_NS // usual_ns)
+        return self if stride < 2 else self._picked(slice(None, None, stride))
+
+    def after(self, stamp_ns: int) -> Track:
+        """Return the poses after a stamp."""
+        return self._picked(slice(int(np.searchsorted(self.stamps_ns, stamp_ns, 'right')), None))
+
+    def _picked(self, part: slice) -> Track:
+        return replace(self, stamps_ns=self.stamps_ns[part], poses=self.poses[part])

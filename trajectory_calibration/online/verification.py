@@ -1,0 +1,130 @@
+"""Whether the answer that the node publishes still holds on what arrives.
+
+A sensor that was knocked is found while driving: the recent poses are calibrated by themselves
+and compared with the answer, as ``trajectory_calibration verify`` does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import CalibrationError
+from trajectory_calibration.fleet.verification import CANNOT_TELL, HOLDS, MOVED, verify
+from trajectory_calibration.online.session import CalibrationSession
+from trajectory_calibration.online.track import Track
+from trajectory_calibration.result import CalibrationResult
+
+# So many checks in a row must find that it moved before that is an error and no warning.
+_CONFIRMED = 2
+
+# With fewer new poses of a sensor nothing can be told.
+_FEWEST_POSES = 30
+
+# Levels of diagnostic_msgs/DiagnosticStatus.
+OK, WARN, ERROR = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a check of the published answer says.
+
+    Attributes
+    ----------
+    verdict : 'holds', 'cannot tell' or 'moved'.
+    exit_status : 0, 3 or 4, as of ``trajectory_calibration verify``.
+    sentence : for a person.
+    checks : checks in a row that found that it moved.
+
+    """
+
+    verdict: str
+    exit_status: int
+    sentence: str
+    checks: int = 0
+
+    @property
+    def level(self) -> int:
+        """Return 0 (OK), 1 (WARN: moved once) or 2 (ERROR: moved, confirmed)."""
+        if self.checks == 0:
+            return OK
+        return ERROR if self.checks >= _CONFIRMED else WARN
+
+    def following(self, before: Verdict | None) -> Verdict:
+        """Return this verdict after an earlier one: poor motion neither confirms nor denies."""
+        earlier = 0 if before is None else before.checks
+        checks = {HOLDS: 0, CANNOT_TELL: earlier, MOVED: earlier + 1}[self.verdict]
+        sentence = self.sentence
+        if self.verdict == CANNOT_TELL and before is not None and earlier:
+            sentence = f'{sentence}; before: {before.sentence}'
+        return replace(self, checks=checks, sentence=sentence)
+
+
+@dataclass(frozen=True, eq=False)
+class MonitorJob:
+    """A check of an answer against recent poses."""
+
+    result: CalibrationResult
+    track_a: Track
+    track_b: Track
+    config: CalibrationConfig
+
+    def run(self) -> Verdict:
+        """Check; data that give no answer are 'cannot tell'."""
+        try:
+            found = verify(
+                self.result, self.track_a.thinned().trajectory(),
+                self.track_b.thinned().trajectory(), self.config)
+        except CalibrationError as error:
+            return Verdict(CANNOT_TELL, 3, f'cannot tell: {error}')
+        return Verdict(found.verdict, found.exit_status, found.describe())
+
+
+class Monitor:
+    """Decides when the published answer is checked, and on which poses.
+
+    Parameters
+    ----------
+    period_s, window_s : seconds between two checks, and of poses that each looks at.
+
+    """
+
+    def __init__(self, period_s: float, window_s: float) -> None:
+        self._period_s, self._window_ns = period_s, round(window_s * 1e9)
+        self._checked_s = -float('inf')
+        self._result: CalibrationResult | None = None
+        # Only poses after these stamps say something that the answer does not hold already.
+        self._since_ns = [0, 0]
+        # The newest stamps of the last check: the same poses confirm nothing.
+        self._last_ns = [0, 0]
+
+    def watch(self, result: CalibrationResult, session: CalibrationSession, *, restored: bool,
+              ) -> None:
+        """Watch a new answer, from the poses on that were not there when it was found."""
+        self._result = result
+        self._last_ns = [0, 0]
+        self._since_ns = [0 if restored or buffer.span_ns is None else buffer.span_ns[1]
+                          for buffer in session.buffers]
+
+    def job(
+        self, session: CalibrationSession, frames: tuple[str, str], config: CalibrationConfig,
+        now_s: float,
+    ) -> MonitorJob | None:
+        """Return the check that is due now, or None."""
+        if self._result is None or now_s - self._checked_s < self._period_s:
+            return None
+        starts_ns, ends_ns = [], []
+        for buffer, since_ns, last_ns in zip(
+                session.buffers, self._since_ns, self._last_ns, strict=True):
+            first_ns, end_ns = buffer.span_ns or (0, 0)
+            # A clock that went back began another recording.
+            begin_ns, seen_ns = (
+                stamp if stamp <= end_ns else first_ns for stamp in (since_ns, last_ns))
+            starts_ns.append(max(begin_ns, end_ns - self._window_ns))
+            ends_ns.append(end_ns)
+            if len(buffer.after(max(starts_ns[-1], seen_ns))[0]) < _FEWEST_POSES:
+                return None
+        self._checked_s, self._last_ns = now_s, ends_ns
+        track_a, track_b = (track.after(start_ns) for track, start_ns in zip(
+            session.tracks(frames), starts_ns, strict=True))
+        return MonitorJob(self._result, track_a, track_b, config)
