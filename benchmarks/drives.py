@@ -273,6 +273,37 @@ def _between(one, other):
     return T
 
 
+def convoy(seed):
+    """Return what one car and another some 1-4 s behind it on the same road recorded.
+
+    The second passes every place as the first did, at a distance that varies by an eighth, on its
+    own line within the lane.
+    """
+    rng = np.random.default_rng([7, seed])
+    duration_s, gap_s, speed = 200.0, rng.uniform(1, 4), rng.uniform(8, 14)
+    t = fine(duration_s)
+    way = np.arange(0, 1.6 * speed * (duration_s + 20), 0.25)
+    bend = smooth(rng, way, 1.0, rng.uniform(15, 30))
+    bend = rng.uniform(0.02, 0.05) * np.sign(bend) * np.maximum(np.abs(bend) - 0.4, 0)
+    heading = 0.25 * np.cumsum(bend)
+    first = np.cumsum(np.maximum(speed * (1 + smooth(rng, t, 0.25, 8.0)), 2.0)) / FINE_HZ
+    second = np.interp(t - gap_s * (1 + smooth(rng, t, 0.12, 15.0)), t, first)
+    waves = [(length, *rng.uniform(0, 2 * np.pi, size=2)) for length in (15.0, 60.0, 250.0)]
+    slope, recorded = rng.uniform(0.01, 0.04) / np.sqrt(3), []
+    for driven, sensor in ((first, Sensor(**LIDAR)), (second, Sensor(**VISUAL, phase_s=0.03))):
+        speed_t = np.gradient(driven, t)
+        aside = np.gradient(smooth(rng, t, 0.15, 2.5), t) / np.maximum(speed_t, 1)
+        yaw = np.interp(driven, way, heading) + aside
+        pitch = smooth(rng, t, 0.003, 0.5) + slope * sum(
+            np.sin(driven * 2 * np.pi / length + phase) for length, phase, _ in waves)
+        roll = -0.003 * speed_t * np.gradient(yaw, t) + slope * sum(
+            np.sin(driven * 2 * np.pi / length + phase) for length, _, phase in waves)
+        R = euler(yaw, pitch, roll)
+        path = Path(t, R, np.cumsum(R[:, :, 0] * speed_t[:, None], axis=0) / FINE_HZ)
+        recorded.append(record(rng, path, mounts(rng, 1.0)[0], sensor, duration_s))
+    return recorded
+
+
 # --- families --------------------------------------------------------------------------------
 
 LIDAR = {'rate_hz': 10.0, 'walk': 0.004, 'walk_rad': 0.0005, 'white': 0.005, 'white_rad': 0.0005}

@@ -6,7 +6,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
-from trajectory_calibration.assessment.input_checks import parted_steps, require_agreement
+from trajectory_calibration.assessment.input_checks import (
+    check_orientations,
+    check_pairs,
+    parted_steps,
+    require_fit,
+)
 from trajectory_calibration.assessment.metrics import relative_errors
 from trajectory_calibration.assessment.observability import observe, require_motion_beyond_noise
 from trajectory_calibration.assessment.prior_update import apply_prior, contradictions
@@ -64,6 +69,7 @@ def calibrate(
     config = config or CalibrationConfig()
     solve = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)
+    check_orientations(trajectory_a, trajectory_b, config)
     clock, pairs = match(trajectory_a, trajectory_b, config)
     # A camera without scale may be as fast as it likes: the unit of b is found.
     doubts = (*time_doubts(trajectory_a), *time_doubts(trajectory_b),
@@ -72,16 +78,13 @@ def calibrate(
                *clock.findings(config.time_offset, trajectory_b.sensor_frame,
                                trajectory_b.duration_s))
     with _recalled((*doubts, *(matched if _matched_little(pairs.summary) else ()))):
+        questions = check_pairs(pairs, trajectory_a, trajectory_b, clock, config)
         choice = choose_reference(pairs, config)
         motions = select_motions(pairs, choice.reference)
-        agreed = pairs, trajectory_a, trajectory_b, config
-        try:
-            solution = solve(motions, config)
-        except SolverError:
-            # What two vehicles did may have no solution, which is then not what is wrong.
-            require_agreement(None, *agreed)
-            raise
-        require_agreement(solution.T_a_b, *agreed)
+        solution = solve(motions, config)
+        if config.input_checks:
+            require_fit(solution.T_a_b, pairs,
+                        (trajectory_a.sensor_frame, trajectory_b.sensor_frame), config.solver)
         uncertainty = estimate_uncertainty(solution, motions, config, choice.known)
         T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
         metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
@@ -116,6 +119,7 @@ def calibrate(
             *trajectory_b.findings,
             *doubts,
             *matched,
+            *questions,
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.findings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),

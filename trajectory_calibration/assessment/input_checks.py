@@ -1,113 +1,125 @@
-"""Whether two trajectories belong together at all.
+"""Whether two trajectories are those of one vehicle, before a solver makes something of them.
 
-Two sensors on one body turn by the same angle at the same time, wherever they are mounted. A
-solver finds the best extrinsic for any two trajectories, also for those of two vehicles, or of
-one with clocks that differ by more than was looked for, and its residuals then pass for noise.
-The turns tell: where they are large, half of them at least must agree well.
+A solver finds the best extrinsic for any two trajectories: also for those of two vehicles, for
+poses that were inverted, for quaternions in another order; and its residuals then pass for noise.
+What is looked at here needs no solver, and is judged by how much the two turned and moved, and by
+what independent errors leave between them, never by fixed angles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import thinned_to
+from trajectory_calibration.assessment.offset_steadiness import offset_steadiness
+from trajectory_calibration.assessment.orientation_checks import (
+    least_steps,
+    require_orientation,
+)
+from trajectory_calibration.assessment.rigid_fit import (
+    best_fit,
+    fits,
+    growth,
+    NOT_BY_NOISE,
+    RigidFit,
+)
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.align import match
+from trajectory_calibration.time_alignment.clock_offset import Clock
 
-# Lags, seconds, that are looked at: short ones have fewer jumps in them, long ones turn farther.
-_LAGS = (0.1, 0.2, 0.5, 2.0, 8.0)
-_MOTIONS = 4000
-# With so few of them, the best one counts, otherwise the second best.
-_TOO_FEW_LAGS = 2
+# Another reading of the numbers is the explanation where it leaves this share of the misfit.
+_MUCH_LESS = 1 / 3
+# With less than this share of the misfit of two bodies, a mirrored world is not looked for.
+_LITTLE_LEFT = 0.2
 
-# Turns, radians, that are compared: larger than noise ever is, and well below half a turn, which
-# is the same the other way round. Fewer than this many turns say nothing.
-_LEAST_TURN, _LARGEST_TURN = np.deg2rad(10.0), np.deg2rad(150.0)
-_LEAST_TURNS = 5
+# Beyond these shares of the turns and of the way, over every lag, the two have nothing in common.
+_NO_TURN_SHARED, _NO_WAY_SHARED = 0.5, 0.2
+# Turns that agree, and this share of the way that does not, over every lag: other positions.
+_OTHER_WAY = 0.5
 
-# Squared difference of two turns relative to both, above which they disagree: 0 for equal ones,
-# 1 for such as have nothing in common. Median over the turns.
-_DISAGREEMENT = 0.03
+# How much farther things move as read than inverted, in the mean of both and in each.
+_INVERTED, _INVERTED_EACH = 1.15, 1.1
+# Steps that tell it are so many times what the two disagree by.
+_OF_NOISE = 1.0
 
-# Up to this disagreement the best rotation tells that they turned together, whatever a solver
-# says; from there on inverted poses are tried, which are the explanation where they leave this
-# share of it. Of a vehicle that turns about one axis they agree as well as the others.
-_SUSPICIOUS, _MUCH_LESS = 0.01, 0.1
+# Seconds of clock offset that are asked about where the offset is not steady along the drive: by
+# so many seconds, and so many times (squared) its errors; the larger ones are no clock's.
+_LARGE_OFFSET = 0.5
+_UNSTEADY = ((0.025, 6.0), (0.010, 3.0))
 
 # Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
 _PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
 
+# Share by which the rotation of a solver may fit worse than the best one.
+_WORSE_FIT = 0.1
 
-def require_agreement(
-    T_a_b: FloatArray | None, pairs: PosePairs, a: Trajectory, b: Trajectory,
-    config: CalibrationConfig,
-) -> None:
-    """Raise MotionError where the sensors turned, but not together.
 
-    Not judged where they hardly turned: that is for the observability to say. ``pairs`` are of
-    the trajectories a and b by ``config``.
+def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> None:
+    """Raise MotionError where one of them has no orientation of its own."""
+    if config.input_checks:
+        require_orientation(a)
+        require_orientation(b)
+
+
+def check_pairs(
+    pairs: PosePairs, a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+) -> tuple[Finding, ...]:
+    """Raise MotionError where the two cannot be sensors of one vehicle; return what is doubtful.
+
+    ``pairs`` are of the trajectories a and b, by ``clock`` and ``config``.
     """
-    turns = list(_turns(pairs))
-    if not turns:
-        return
-    possible = _least_disagreement(turns)
-    found = possible if T_a_b is None else _usual(
-        [_disagreement(turn_a, turn_b @ T_a_b[:3, :3].T) for turn_a, turn_b in turns])
-    inverted = _least_if_inverted(a, b, config) if possible > _SUSPICIOUS else np.inf
-    if inverted < _MUCH_LESS * possible:
-        advice = ('they would agree if the poses of one of them were inverted, or its quaternions '
-                  'had w first: give the pose of the sensor in its world, as x, y, z, w')
-    elif found > _DISAGREEMENT and possible <= _SUSPICIOUS:
-        raise MotionError(_misfit(found, possible, a.sensor_frame, b.sensor_frame, config.solver))
-    elif found > _DISAGREEMENT:
-        advice = ('check the topics or files, the order of their quaternions (x, y, z, w), and '
-                  'the clocks (max_time_offset is how far apart they may be)')
-    else:
-        return
-    raise MotionError(
-        f'{a.sensor_frame} and {b.sensor_frame} did not turn together: half of their turns differ '
-        f'by more than {np.sqrt(2 * found):.0%}; needed two trajectories of one vehicle at the '
-        f'same time: {advice}')
+    if not config.input_checks:
+        return ()
+    found = best_fit(pairs)
+    if found is None:
+        return ()
+    if found.misfit > _LITTLE_LEFT:
+        _refuse_mirrored(found, pairs, f'{a.sensor_frame} and {b.sensor_frame}')
+    if not found.one_body:
+        _refuse_other_reading(found, pairs, a, b, config)
+        _refuse_two_bodies(pairs, a, b)
+    elif _are_inverted(pairs, a, b):
+        raise MotionError(
+            f'{a.sensor_frame} and {b.sensor_frame} seem to hold inverted poses (of the world in '
+            'the sensor): as they are read, both move farther than any body would. '
+            'Use --invert-a --invert-b, or --no-input-checks if they are right')
+    return _steady(a, b, clock, config)
 
 
-def _misfit(found: float, possible: float, name_a: str, name_b: str, solver: str) -> str:
-    """Say that the rotation of a solver does not fit turns that agree by themselves.
+def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], solver: str) -> None:
+    """Raise MotionError where the rotation of a solver does not fit turns that agree.
 
     A method that weighs rotation and translation together gives up the rotation where the
     lengths of one sensor are far from those of the other.
     """
+    best = best_fit(pairs)
+    if best is None or not best.one_body:
+        return
+    i = np.arange(len(pairs) - best.lag)
+    turn_a, turn_b = (
+        se3.log_so3(np.swapaxes(poses[i, :3, :3], 1, 2) @ poses[i + best.lag, :3, :3])
+        for poses in (pairs.poses_a, pairs.poses_b))
+    square = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
+    most = square >= np.quantile(square, 0.75)
+    apart = np.sum((turn_a - turn_b @ T_a_b[:3, :3].T)**2, axis=1)
+    share = float(np.sqrt(np.median(apart[most] / (2 * square[most] + np.finfo(float).tiny))))
+    if share <= best.turn_share + _WORSE_FIT:
+        return
     scale = ('give it (scale)' if solver == 'drift_aware' else
              'give it (scale), or use solver drift_aware, which finds it')
-    return (
-        f'the rotation that {solver} found does not fit the turns: half of them differ by more '
-        f'than {np.sqrt(2 * found):.0%}, with the best rotation by {np.sqrt(2 * possible):.1%}; '
-        f'{name_a} and {name_b} did turn together; needed positions of both in one unit: check '
-        f'their unit and scale; {scale}')
-
-
-def _least_if_inverted(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> float:
-    """Return how little the turns would disagree if the poses of b were inverted.
-
-    Those of a need no test of their own: inverted both, they agree as they did before. With w
-    first, a rotation is read as its inverse between two that are constant.
-    """
-    b = replace(b, poses=se3.inverse(b.poses))
-    with suppress(AssociationError):
-        _, pairs = match(a, b, config)
-        turns = list(_turns(pairs))
-        return _least_disagreement(turns) if turns else np.inf
-    return np.inf
+    raise MotionError(
+        f'the rotation that {solver} found does not fit: half of the turns differ by more than '
+        f'{share:.0%}, with the best rotation by {best.turn_share:.1%}; {frames[0]} and '
+        f'{frames[1]} did turn together. Check the unit and scale of both; {scale}')
 
 
 def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
@@ -125,51 +137,169 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
     if not len(found):
         return ()
     k = int(found[apart[found].argmax()])
-    pause = (pairs.stamps_ns[k + 1] - pairs.stamps_ns[k]) * 1e-9
+    since_s = (pairs.stamps_ns[k] - pairs.stamps_ns[0]) * 1e-9
     warning = Finding(
-        'orientation-jumps', f'the sensors turned apart in {len(found)} steps, the most by '
-        f'{np.rad2deg(apart[k]):.3g} deg, {pause:.3g} s from {pairs.stamps_ns[k] * 1e-9:.3f} s: a '
-        'SLAM that began anew or closed a loop has another world, and motions across it are '
-        'none; use drift_aware, which excludes such steps, or calibrate each part alone',
+        'orientation-jumps', f'{len(found)} orientation jumps (largest '
+        f'{np.rad2deg(apart[k]):.2g} deg at {since_s:.1f} s): SLAM restart or loop closure? '
+        'Use drift_aware, which excludes such steps, or calibrate the parts separately',
         {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))})
     return (warning,)
 
 
-def _turns(pairs: PosePairs) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield (K, 3) turns of a and of b over each lag that has enough large ones."""
-    for lag in lag_grid(pairs.stamps_ns, _LAGS):
-        motions = thinned_to(select_motions(pairs, f'B{lag}'), _MOTIONS)
-        turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
-        size = _size(turn_a, turn_b)
-        large = (size > _LEAST_TURN) & (size < _LARGEST_TURN)
-        if large.sum() >= _LEAST_TURNS:
-            yield turn_a[large], turn_b[large]
+def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
+    """Tell whether both hold poses of the world in the sensor.
 
-
-def _least_disagreement(turns: Sequence[tuple[FloatArray, FloatArray]]) -> float:
-    """Return the disagreement with the best rotation between the sensors."""
-    return _usual([_disagreement(turn_a, turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T)
-                   for turn_a, turn_b in turns])
-
-
-def _usual(disagreements: Sequence[float]) -> float:
-    """Return the disagreement that counts, of those over each lag: the second smallest.
-
-    Short turns are those in which noise is large, long ones those with jumps in them. But one lag
-    alone may agree by chance: about one axis, half of all turns have the right sign.
+    The equations are as true of those, and the answer is then the pose of one world in another.
     """
-    ascending = sorted(disagreements)
-    return ascending[1] if len(ascending) > _TOO_FEW_LAGS else ascending[0]
+    steps = [least_steps(trajectory) for trajectory in (a, b)]
+    if not all(_looks_inverted(item, _INVERTED_EACH) for item in steps):
+        return False
+    fit = best_fit(replace(
+        pairs, poses_a=se3.inverse(pairs.poses_a), poses_b=se3.inverse(pairs.poses_b)))
+    as_read, inverted = np.prod(steps, axis=0)
+    # Errors of the poses are no motion.
+    return bool(as_read > _INVERTED**2 * inverted and fit is not None
+                and min(min(item) for item in steps) > _OF_NOISE * fit.way_apart)
 
 
-def _size(turn_a: FloatArray, turn_b: FloatArray) -> FloatArray:
-    """Return the (K,) root mean square of the two angles of (K, 3) turns."""
-    squares = np.sum(turn_a**2, axis=1) + np.sum(turn_b**2, axis=1)
-    root: FloatArray = np.sqrt(squares / 2)
-    return root
+def _looks_inverted(steps: tuple[float, float], factor: float) -> bool:
+    as_read, inverted = steps
+    return as_read > factor * inverted
 
 
-def _disagreement(turn_a: FloatArray, turn_b: FloatArray) -> float:
-    """Return the median disagreement of (K, 3) turns, both in the axes of a."""
-    difference = np.sum((turn_a - turn_b)**2, axis=1)
-    return float(np.median(difference / (2 * _size(turn_a, turn_b)**2)))
+# What was written, the option that reads it, and how: the poses as they were meant.
+_Reading = tuple[str, str, Callable[[FloatArray], FloatArray]]
+
+
+def _reordered(shift: int) -> Callable[[FloatArray], FloatArray]:
+    def read(poses: FloatArray) -> FloatArray:
+        q = np.roll(se3.rotation_to_quaternion(poses[:, :3, :3]), shift, axis=1)
+        return se3.from_rotation_translation(se3.quaternion_to_rotation(q), poses[:, :3, 3])
+    return read
+
+
+_READINGS: tuple[_Reading, ...] = (
+    ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
+    ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
+    ('inverted poses (of the world in the sensor)', '--invert{}', se3.inverse),
+)
+
+
+def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
+    """Raise MotionError where a mirrored world explains what is left.
+
+    A vehicle that hardly rolls and pitches looks in it like one whose sensor hangs upside down.
+    """
+    for mirrored in fits(pairs, mirrored=True, seconds=(found.lag_s,)):
+        if mirrored.one_body and mirrored.misfit < _MUCH_LESS * found.misfit:
+            raise MotionError(
+                f'one of {frames} is in a left-handed frame: with one axis of its world mirrored, '
+                f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way '
+                f'stay unexplained, as they are {found.turn_share:.1%} and '
+                f'{found.way_share:.1%}. Export it in a right-handed frame')
+
+
+def _refuse_other_reading(
+    found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> None:
+    """Raise MotionError where another reading of the numbers makes the two those of one body."""
+    frames = f'{a.sensor_frame} and {b.sensor_frame}'
+    candidates = [item for item in _other_readings(pairs, a, b, config)
+                  if item[0].one_body and item[0].misfit < _MUCH_LESS * found.misfit]
+    if not candidates:
+        return
+    best, what, option = min(candidates, key=lambda item: item[0].misfit)
+    raise MotionError(
+        f'{frames} do not fit as they are read: {what}? Then they fit to {best.way_share:.1%} of '
+        f'the way instead of {found.way_share:.0%}, and to {best.turn_share:.1%} of the turns '
+        f'instead of {found.turn_share:.0%}. Use {option}')
+
+
+def _other_readings(
+    pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> Iterator[tuple[RigidFit, str, str]]:
+    """Yield how well other readings fit, what they are, and the options for them."""
+    for what, option, read in _READINGS[:2]:
+        both = best_fit(replace(
+            pairs, poses_a=read(pairs.poses_a), poses_b=read(pairs.poses_b)))
+        if both is not None:
+            yield both, f'do both hold {what}', option.format('')
+    for what, option, read in _READINGS:
+        single = []
+        for name, trajectory in (('a', a), ('b', b)):
+            # The clocks are known only where both turn alike.
+            other = replace(trajectory, poses=read(trajectory.poses))
+            with suppress(AssociationError):
+                _, rematched = match(*((other, b) if name == 'a' else (a, other)), config)
+                fit = best_fit(rematched)
+                if fit is not None:
+                    single.append((fit, name, trajectory))
+        if read is se3.inverse:
+            yield from _inverted_one(single)
+        else:
+            yield from ((fit, f'does {trajectory.sensor_frame} hold {what}',
+                         option.format(f'-{name}')) for fit, name, trajectory in single)
+
+
+def _inverted_one(
+    single: list[tuple[RigidFit, str, Trajectory]],
+) -> Iterator[tuple[RigidFit, str, str]]:
+    """Yield one reading: that of the sensor whose own motion tells, or either."""
+    if not single:
+        return
+    told = [item for item in single if _looks_inverted(least_steps(item[2]), _INVERTED)]
+    if len(told) == 1:
+        fit, name, trajectory = told[0]
+        what = f'does {trajectory.sensor_frame} hold inverted poses (of the world in the sensor)'
+        yield fit, what, f'--invert-{name}'
+    else:
+        yield (min((item[0] for item in single), key=lambda item: item.misfit),
+               'does one of them hold inverted poses (of the world in the sensor)',
+               '--invert-a or --invert-b, whichever it is')
+
+
+def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
+    """Raise MotionError where independent errors do not explain what the two do apart."""
+    found = list(fits(pairs))
+    frames = f'{a.sensor_frame} and {b.sensor_frame}'
+    advice = ('Are they of one vehicle at the same time? check the topics or files, and the '
+              'clocks (max_time_offset is how far apart they may be)')
+    turned = max(found, key=lambda item: item.turned_apart)
+    factor = growth(found, 'turned_apart')
+    together = factor <= NOT_BY_NOISE and any(
+        item.turn_share < _NO_TURN_SHARED or item.way_share < _NO_WAY_SHARED for item in found)
+    if not together:
+        raise MotionError(
+            f'{frames} did not turn together: over {turned.lag} poses they turn by '
+            f'{np.rad2deg(turned.turned):.2g} deg and apart by '
+            f'{np.rad2deg(turned.turned_apart):.2g} deg. {advice}')
+    moved = growth(found, 'way_apart')
+    if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
+        apart = max(found, key=lambda item: item.way_apart)
+        raise MotionError(
+            f'{frames} turned together, but their positions do not fit one vehicle: over '
+            f'{apart.lag} poses they move apart by {apart.way_apart:.2g} m, {moved:.1f} times '
+            'what errors of single poses and steps make likely. Check the axes and the units of '
+            'both, or set input_checks to false')
+
+
+def _steady(
+    a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+) -> tuple[Finding, ...]:
+    """Ask about a large clock offset that was found and is not steady along the drive."""
+    offset_s = clock.offset_s - config.time_offset
+    if abs(offset_s) <= _LARGE_OFFSET:
+        return ()
+    steadiness = offset_steadiness(a, b, clock)
+    if steadiness is None:
+        return ()
+    text = (
+        f'a clock offset of {offset_s:+.2f} s makes {a.sensor_frame} and {b.sensor_frame} agree, '
+        f'but it varies by {1e3 * steadiness.scatter_s:.0f} ms along the drive, as of two '
+        'vehicles on one road. If it is one vehicle, set time_offset with time_offset_mode fixed')
+    refused, asked = (steadiness.scatter_s > seconds and steadiness.chi_squared > times
+                      for seconds, times in _UNSTEADY)
+    if refused:
+        raise MotionError(text)
+    values = {'offset_s': offset_s, 'scatter_s': steadiness.scatter_s}
+    return (Finding('clock-offset-unsteady', text, values),) if asked else ()

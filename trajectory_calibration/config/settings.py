@@ -175,6 +175,10 @@ class CalibrationConfig:
         5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
         'degrees', minimum=0.0, maximum=180.0)
 
+    input_checks: bool = _option(
+        default=True, text='refuse trajectories that cannot be of one vehicle: inverted poses, '
+        'another order of quaternions, two vehicles, no orientation')
+
     def __post_init__(self) -> None:
         for option in self.options():
             object.__setattr__(self, option.name, option.check(getattr(self, option.name)))

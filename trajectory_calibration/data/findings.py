@@ -20,6 +20,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'clock-ambiguous': ('serious', 'another clock offset fits as well; the extrinsic differs'),
     'clock-drift': ('note', 'one clock runs fast or slow; corrected'),
     'clock-offset': ('note', 'a clock offset was found and added to the stamps of b'),
+    'clock-offset-unsteady': ('serious', 'a large clock offset varies on the way: two vehicles?'),
     'clock-uneven': ('warning', 'one clock deviates from a constant drift'),
     'direction-unobserved': ('serious', 'the motion does not determine this direction'),
     'direction-weak': ('warning', 'this direction is determined, but badly'),

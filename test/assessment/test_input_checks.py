@@ -1,0 +1,174 @@
+"""Inputs that no extrinsic belongs to are refused before a solver runs, with what mends them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.drives import (
+    convoy,
+    make,
+)
+from benchmarks.families import trajectory
+from trajectory_calibration import calibrate, CalibrationConfig, MotionError, Trajectory
+from trajectory_calibration.assessment.input_checks import check_orientations, check_pairs
+from trajectory_calibration.assessment.offset_steadiness import offset_steadiness
+from trajectory_calibration.assessment.orientation_checks import least_steps
+from trajectory_calibration.assessment.rigid_fit import best_fit
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.sources.files import FileSource
+from trajectory_calibration.time_alignment.align import match
+
+CONFIG = CalibrationConfig()
+# One of each way to move.
+WAYS = ('car, scale and drift', 'hand-held', 'drone', 'legged', 'forklift (flat)')
+
+
+def pair(name, seed=0, other_seed=None):
+    run = make(name, seed)
+    b = run.b if other_seed is None else make(name, other_seed).b
+    return trajectory(run.a, 'a'), trajectory(b, 'b')
+
+
+def checked(a, b):
+    check_orientations(a, b, CONFIG)
+    clock, pairs = match(a, b, CONFIG)
+    return check_pairs(pairs, a, b, clock, CONFIG)
+
+
+def with_rotations(t, rotations):
+    return replace(t, poses=se3.from_rotation_translation(rotations, t.positions))
+
+
+def inverted(t):
+    return replace(t, poses=se3.inverse(t.poses))
+
+
+def w_first(t):
+    """Return what is read where w, x, y, z were written for x, y, z, w."""
+    q = np.roll(se3.rotation_to_quaternion(t.rotations), 1, axis=1)
+    return with_rotations(t, se3.quaternion_to_rotation(q))
+
+
+def mirrored(t):
+    """Return the trajectory in a world whose y points the other way."""
+    M = np.diag([1.0, -1.0, 1.0])
+    return replace(t, poses=se3.from_rotation_translation(M @ t.rotations @ M, t.positions @ M))
+
+
+@pytest.mark.parametrize('name', WAYS)
+def test_sensors_of_one_vehicle_pass(name):
+    assert checked(*pair(name)) == ()
+
+
+@pytest.mark.parametrize('name', WAYS)
+def test_two_vehicles_are_refused(name):
+    with pytest.raises(MotionError, match='did not turn together'):
+        checked(*pair(name, 0, 50))
+
+
+@pytest.mark.parametrize('name', WAYS)
+def test_poses_that_are_both_inverted_are_named(name):
+    with pytest.raises(MotionError, match='--invert-a --invert-b'):
+        checked(*map(inverted, pair(name)))
+
+
+@pytest.mark.parametrize('name', ['car, scale and drift', 'hand-held', 'drone', 'legged'])
+def test_quaternions_of_both_in_another_order_are_named(name):
+    with pytest.raises(MotionError, match=r'both hold .*Use --quaternion-order wxyz$'):
+        checked(*map(w_first, pair(name)))
+
+
+def test_checks_can_be_switched_off():
+    a, b = map(inverted, pair('hand-held'))
+    assert calibrate(a, b, CalibrationConfig(
+        solver='park', reference='B5', input_checks=False)).poses > 100
+
+
+@pytest.mark.parametrize('name', ['hand-held', 'drone', 'legged'])
+def test_a_mirrored_world_is_named(name):
+    a, b = pair(name)
+    for one, other in ((mirrored(a), b), (a, mirrored(b))):
+        with pytest.raises(MotionError, match='left-handed'):
+            checked(one, other)
+
+
+def test_a_constant_orientation_is_refused_before_anything_else():
+    a, b = pair('drone')
+    constant = with_rotations(a, np.broadcast_to(a.rotations[0], a.rotations.shape))
+    for one, other in ((constant, b), (b, constant)):
+        with pytest.raises(MotionError, match=r'the orientation never changes over .* m of way'):
+            calibrate(one, other)
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.02])
+def test_course_over_ground_is_refused(noise):
+    rng = np.random.default_rng(0)
+    a, b = pair('car, scale and drift')
+    measured = replace(a, poses=se3.from_rotation_translation(
+        a.rotations, a.positions + noise * rng.normal(size=(len(a), 3))))
+    step = np.gradient(a.positions if noise else measured.positions, axis=0)
+    yaw = np.arctan2(step[:, 1], step[:, 0])
+    course = with_rotations(measured, se3.exp_so3(yaw[:, None] * [0.0, 0.0, 1.0]))
+    with pytest.raises(MotionError, match='course over ground'):
+        calibrate(course, b)
+
+
+def test_a_planar_vehicle_has_no_course_for_its_yaw():
+    for seed in range(3):
+        run = make('wheels with gain (flat)', seed)
+        check_orientations(trajectory(run.a, 'a'), trajectory(run.b, 'b'), CONFIG)
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_two_cars_on_one_road_are_refused(seed):
+    a, b = (trajectory(recorded, name) for recorded, name in zip(convoy(seed), 'ab', strict=True))
+    with pytest.raises(MotionError, match=r'two vehicles on one road|did not turn together'):
+        checked(a, b)
+
+
+def test_a_large_offset_of_one_car_is_steady():
+    a, b = pair('car, scale and drift')
+    late = replace(b, stamps_ns=b.stamps_ns + 3_000_000_000)
+    clock, _ = match(a, late, CONFIG)
+    assert clock.offset_s == pytest.approx(-3.0, abs=0.02)
+    assert offset_steadiness(a, late, clock).scatter_s < 0.01
+    assert checked(a, late) == ()
+
+
+def test_a_target_in_view_all_the_time_is_not_taken_for_inverted_poses():
+    """Around a target at 1 m the camera moves much, the target in it hardly."""
+    rng = np.random.default_rng(1)
+    t = np.arange(0, 20, 0.05)
+    angle = np.stack([0.8 * np.sin(0.7 * t), 0.8 * np.cos(0.9 * t), 0.4 * np.sin(0.4 * t)], axis=1)
+    R = se3.exp_so3(angle)
+    poses = se3.from_rotation_translation(
+        R, -R[:, :, 2] + 0.002 * rng.normal(size=(len(t), 3)))
+    camera = Trajectory(np.rint(t * 1e9).astype(np.int64), poses)
+    as_read, turned_round = least_steps(camera)
+    assert as_read < 1.1 * turned_round
+
+
+def test_few_poses_of_two_arms_are_refused_and_of_one_are_not():
+    a, b = pair('arm')
+    few = [Trajectory(t.stamps_ns[::200 * len(t) // len(b)], t.poses[::200 * len(t) // len(b)])
+           for t in (a, b)]
+    assert len(few[0]) < 12
+    _, pairs = match(*few, CalibrationConfig(association='nearest'))
+    assert best_fit(pairs) is None or best_fit(pairs).one_body
+
+
+@pytest.mark.parametrize(('case', 'reason'), [
+    ('w_first_both', '--quaternion-order wxyz'),
+    ('inverted_both', '--invert-a --invert-b'),
+    ('left_handed', 'left-handed'),
+    ('gps_without_orientation', 'orientation never changes'),
+    ('course_as_yaw', 'course over ground'),
+])
+def test_inputs_that_failed_once(shared_data, case, reason):
+    folder = shared_data / 'cases' / case
+    if not folder.exists():
+        pytest.skip(f'no {folder}')
+    a, b = (FileSource(folder / f'{name}.tum', sensor_frame=name).load() for name in 'ab')
+    with pytest.raises(MotionError, match=reason):
+        calibrate(a, b)

@@ -1,0 +1,157 @@
+"""Whether a trajectory has an orientation of its own, and holds the poses it claims to hold.
+
+Receivers of GNSS give positions. What fills in an orientation writes a constant, or the course
+over ground; either passes for a pose, and no solver can tell. Poses that were inverted pass too:
+a motion A X = X B is as true of the inverses. Only how things move tells them apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import MotionError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Radians: what is left of a constant orientation by the digits of a file.
+_DIGITS = 1e-5
+
+# Course over ground: poses that are looked at, and steps, of the longest ones, that count.
+_COURSE_POSES = 5_000
+_LONG_STEP = 0.3
+_LEAST_STEPS = 20
+# A yaw that was computed from the positions is off the course by this share of its roughness.
+_COPIED = 0.02
+# A yaw that is the course has no lever arm (metres) in curves, but for this much and so many
+# standard deviations.
+_NO_LEVER, _SIGMA = 0.05, 3.0
+# Half the steps between the positions of which the course is taken then.
+_HALF_SPAN = 2
+
+# Seconds over which a body is followed, motions, rounds of reweighting.
+_FOLLOWED_S = 0.2
+_MOTIONS = 400
+_ROUNDS = 4
+# Share of the steps that may be jumps.
+_JUMPS = 0.02
+
+
+def require_orientation(trajectory: Trajectory) -> None:
+    """Raise MotionError where the orientation is constant, or computed from the positions."""
+    name = trajectory.sensor_frame
+    way = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    if not way.any():
+        return
+    turned = np.swapaxes(trajectory.rotations[:1], 1, 2) @ trajectory.rotations
+    # The trace tells a turn by t to within t^2 / 2, and rounding of 1e-16 is a turn of 1e-8.
+    if 3.0 - float(np.trace(turned, axis1=1, axis2=2).min()) < _DIGITS**2:
+        raise MotionError(
+            f'{name}: the orientation never changes over {way.sum():.3g} m of way: positions '
+            'alone (GNSS without an INS?) cannot be calibrated. Give poses whose orientation is '
+            'measured')
+    if _is_course(trajectory):
+        raise MotionError(
+            f'{name}: the orientation is the course over ground, computed from the positions, '
+            'which says nothing of how the sensor is turned. Give poses whose orientation is '
+            'measured, as of an INS')
+
+
+def _is_course(trajectory: Trajectory) -> bool:
+    """Tell whether the yaw is the direction from one position to the next, and all there is.
+
+    It turns about one axis only, to the last digit. What computed it from the positions follows
+    every error of them. What took it from velocities shows no roll and pitch where the height
+    changes and no lever arm in curves, as a measured yaw
+    would.
+    """
+    count = min(len(trajectory), _COURSE_POSES)
+    turns = trajectory.turns[:count - 1]
+    sizes, axes = np.linalg.eigh(turns.T @ turns)
+    if count < _LEAST_STEPS or sizes[1] > _DIGITS**2 * count:
+        return False
+    axis = trajectory.rotations[0] @ axes[:, 2]
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    across /= np.linalg.norm(across)
+    yaw = np.concatenate([[0.0], np.cumsum(turns @ axes[:, 2])])
+    moved = trajectory.positions[:count] - trajectory.positions[0]
+    position = moved @ np.stack([across, np.cross(axis, across)]).T
+    height_varies = float(np.std(np.diff(moved @ axis))) > _DIGITS
+    return any(
+        _follows(position, sign * yaw, before, after, height_varies=height_varies)
+        for before, after in ((0, 1), (1, 0), (1, 1), (_HALF_SPAN, _HALF_SPAN))
+        for sign in (1.0, -1.0))
+
+
+def _follows(
+    position: FloatArray, yaw: FloatArray, before: int, after: int, *, height_varies: bool,
+) -> bool:
+    """Tell whether (N,) yaw is the course of (N, 2) positions over so many steps."""
+    k = np.arange(before, len(position) - after)
+    step = position[k + after] - position[k - before]
+    length = np.linalg.norm(step, axis=1)
+    course = np.arctan2(step[:, 1], step[:, 0])
+    # Standing still it has no course; at both ends of three, for their second difference.
+    long_ = length > _LONG_STEP * np.median(length)
+    inner = long_[:-2] & long_[1:-1] & long_[2:]
+    if inner.sum() < _LEAST_STEPS:
+        return False
+    apart = _wrapped(course - yaw[k])
+    # The axis of the turns, and with it where yaw counts from, is known but for a constant.
+    apart = _wrapped(apart - np.angle(np.mean(np.exp(1j * apart[long_]))))
+    rough = float(np.median(np.abs(_wrapped(np.diff(course, 2)))[inner]))
+    if rough > _DIGITS and np.median(np.abs(apart[long_])) < _COPIED * rough:
+        return True
+    if not height_varies or before != _HALF_SPAN:
+        return False
+    # Radians a metre; the course of a lever arm l ahead is off by l times that.
+    curvature = (yaw[k + after] - yaw[k - before])[long_] / length[long_]
+    columns = np.column_stack([np.ones_like(curvature), curvature])
+    P = np.linalg.pinv(columns.T @ columns)
+    offset, lever = P @ (columns.T @ apart[long_])
+    rest = apart[long_] - columns @ [offset, lever]
+    # Errors of positions reach over the steps that they have in common.
+    std = np.sqrt(np.diag(P) * 2 * (before + after) * float(np.mean(rest**2)))
+    return bool(abs(lever) < _NO_LEVER + _SIGMA * std[1] < 4 * _NO_LEVER)
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    turned: FloatArray = np.angle(np.exp(1j * angle))
+    return turned
+
+
+def least_steps(trajectory: Trajectory) -> tuple[float, float]:
+    """Return how far a body moves in 0.2 s, metres, as its poses read and if they are inverted.
+
+    Of all points of the body, and for the inverses of all points of the world, the one that moves
+    least is followed: a sensor that looks at a target all the time turns about that target, which
+    then stands still in either reading. Else poses as they should be move less than inverted ones,
+    in which all turns swing what is far away. Both are zero where there are too few poses.
+    """
+    every = max(1, round(_FOLLOWED_S * 1e9 / trajectory.usual_step_ns))
+    i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // _MOTIONS))
+    if len(i) < 10:
+        return 0.0, 0.0
+    # Far from the origin the inverses are large numbers, and their differences lose digits.
+    here, there = trajectory.poses[i], trajectory.poses[i + every]
+    middle = here[:, :3, 3].mean(axis=0)
+    here[:, :3, 3] -= middle
+    there[:, :3, 3] -= middle
+    return (_least_step(here, there),
+            _least_step(se3.inverse(here), se3.inverse(there)))
+
+
+def _least_step(here: FloatArray, there: FloatArray) -> float:
+    """Return the root mean square step, metres, of the point of the body that moves least."""
+    turn, step = (there - here)[:, :3, :3], (there - here)[:, :3, 3]
+    weights = np.ones(len(step))
+    left = weights
+    for _ in range(_ROUNDS):
+        weighted = weights[:, None, None] * turn
+        H = np.einsum('kij,kil->jl', weighted, turn)
+        point = -np.linalg.pinv(H, rcond=1e-12, hermitian=True) @ np.einsum(
+            'kij,ki->j', weighted, step)
+        left = np.sum((step + turn @ point)**2, axis=1)
+        weights = 1 / (left + left.mean() + np.finfo(float).tiny)
+    # Jumps are no way that it went.
+    return float(np.sqrt(np.mean(np.sort(left)[:-max(1, round(_JUMPS * len(left)))])))

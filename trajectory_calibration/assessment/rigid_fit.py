@@ -1,0 +1,166 @@
+"""How well one rigid motion explains two trajectories, in milliseconds and by any reading of them.
+
+No solver and no error bars: relative motions over a few lags, the rotation between the sensors
+by Wahba's problem, its lever arm and scale by least squares, all of it reweighted so that jumps
+count little. It answers whether two trajectories are of one body at all, and which reading of
+their numbers (inverted, another order of the quaternion, mirrored) makes them so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.data.motion_pairs import lag_grid
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Lags, seconds at 10 Hz or more, those first that most recordings agree over.
+LAGS_S = (2.0, 0.5, 0.2, 0.1, 8.0, 32.0)
+# Beyond this lag also two sensors agree whose clocks are seconds apart: then what they do apart at
+# shorter ones must be errors, which grow no more than so many times faster than independent ones.
+_SHORT_S = 2.0
+NOT_BY_NOISE = 1.5
+# Share of the poses that the longest lag may span; motions that suffice; fewer say nothing.
+_LONGEST_SHARE = 0.25
+_MOTIONS, _LEAST_MOTIONS = 500, 5
+_ROUNDS = 6
+
+# Larger turns (radians) are left out: half a turn one way is half a turn the other way.
+_LARGEST_TURN = 2.6
+
+# One body: the sensors turn apart by less than this share of their turns and move apart by less
+# than this share of their way, over one lag at least.
+_TURN_SHARE, _WAY_SHARE = 0.1, 0.2
+
+
+@dataclass(frozen=True)
+class RigidFit:
+    """What the best rigid motion leaves unexplained over one lag.
+
+    Attributes
+    ----------
+    lag, lag_s : in poses, and the time of ``LAGS_S`` that it stands for.
+    turned, turned_apart : radians, medians over the motions.
+    turn_share : the same as a share, of the quarter of the motions that turns most.
+    way_apart : metres that stay unexplained, median over the motions.
+    way_share : the same as a share of the way, of the longer half of the motions.
+    scale : metres of a per metre of b, negative for a mirror image.
+
+    """
+
+    lag: int
+    lag_s: float
+    turned: float
+    turned_apart: float
+    turn_share: float
+    way_apart: float
+    way_share: float
+    scale: float
+
+    @property
+    def one_body(self) -> bool:
+        """Tell whether the two move as one body."""
+        return self.turn_share < _TURN_SHARE and self.way_share < _WAY_SHARE
+
+    @property
+    def misfit(self) -> float:
+        """Return the larger of both shares, relative to what one body leaves."""
+        return max(self.turn_share / _TURN_SHARE, self.way_share / _WAY_SHARE)
+
+
+def fits(
+    pairs: PosePairs, *, mirrored: bool = False, seconds: Sequence[float] = LAGS_S,
+) -> Iterator[RigidFit]:
+    """Yield the fit over each lag that the pairs have enough motions for."""
+    seen = set()
+    for lag_s in seconds:
+        (lag,) = lag_grid(pairs.stamps_ns, (lag_s,), 1.0)
+        if lag <= _LONGEST_SHARE * len(pairs) and lag not in seen:
+            seen.add(lag)
+            found = _fit(pairs.poses_a, pairs.poses_b, lag, lag_s, -1.0 if mirrored else 1.0)
+            if found is not None:
+                yield found
+
+
+def best_fit(pairs: PosePairs, *, mirrored: bool = False) -> RigidFit | None:
+    """Return the first fit of one body, or else the best one; None where there is none."""
+    found: list[RigidFit] = []
+    for fit in fits(pairs, mirrored=mirrored):
+        found.append(fit)
+        if fit.one_body and (fit.lag_s <= _SHORT_S
+                             or growth(found, 'turned_apart') <= NOT_BY_NOISE):
+            return fit
+    # None of these is one body, however long the lag.
+    short = [fit for fit in found if not fit.one_body]
+    return min(short, key=lambda fit: fit.misfit, default=None)
+
+
+def growth(found: Sequence[RigidFit], name: str) -> float:
+    """Return how much faster what is unexplained grows with the lag than independent errors do.
+
+    Errors of each pose do not grow, those of each step grow with the root of the lag. What two
+    bodies do apart grows with the lag. ``name`` is that of the attribute; lags with no more
+    disagreement than one body has do not count.
+    """
+    share, limit = (('turn_share', _TURN_SHARE) if name == 'turned_apart'
+                    else ('way_share', _WAY_SHARE))
+    ascending = sorted(found, key=lambda item: item.lag)
+    factor = 1.0
+    for k, item in enumerate(ascending):
+        if getattr(item, share) > limit:
+            likely = min((np.sqrt(item.lag / other.lag) * getattr(other, name)
+                          for other in ascending[:k]), default=0.0)
+            if likely > 0:
+                factor = max(factor, getattr(item, name) / likely)
+    return factor
+
+
+def _fit(
+    poses_a: FloatArray, poses_b: FloatArray, lag: int, lag_s: float, sign: float,
+) -> RigidFit | None:
+    count = len(poses_a) - lag
+    i = np.arange(0, count, max(1, -(-count // _MOTIONS)))
+    A, B = (se3.inverse(poses[i]) @ poses[i + lag] for poses in (poses_a, poses_b))
+    turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
+    square = np.maximum(np.sum(turn_a**2, axis=1), np.sum(turn_b**2, axis=1))
+    usable = square < _LARGEST_TURN**2
+    if usable.sum() < _LEAST_MOTIONS:
+        return None
+    A, B, turn_a, turn_b = A[usable], B[usable], turn_a[usable], turn_b[usable]
+    v_a, v_b = A[:, :3, 3], B[:, :3, 3]
+    lever = A[:, :3, :3] - np.eye(3)
+    tiny = np.finfo(float).tiny
+    weight_t = np.full(len(A), 1 / max(float(np.mean(square)), tiny))
+    weight_v = np.full(len(A), 1 / max(float(np.mean(np.sum(v_a**2, axis=1))), tiny))
+    t, scale = np.zeros(3), 1.0
+    for _ in range(_ROUNDS):
+        # Of turns about one axis the rest of the rotation is open; where both went closes it.
+        reached = sign * (v_a + lever @ t)
+        R = se3.nearest_rotation(
+            (turn_a * weight_t[:, None]).T @ turn_b
+            + (reached * weight_v[:, None]).T @ v_b
+            * np.sqrt(np.sum(v_a**2) / max(float(np.sum(v_b**2)), tiny)))
+        turn_apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
+        J = np.concatenate([lever, -(v_b @ R.T)[:, :, None]], axis=2)
+        weighted = weight_v[:, None, None] * J
+        solved = -np.linalg.pinv(
+            np.einsum('kij,kil->jl', weighted, J), rcond=1e-10, hermitian=True) @ np.einsum(
+                'kij,ki->j', weighted, v_a)
+        t, scale = solved[:3], float(solved[3])
+        way_apart = np.sum((v_a + J @ solved)**2, axis=1)
+        weight_t = 1 / (turn_apart + np.median(turn_apart) + tiny)
+        weight_v = 1 / (way_apart + np.median(way_apart) + tiny)
+    way, turn = np.sum(v_a**2, axis=1), 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
+    if sign * scale <= 0:
+        way_apart = way
+    most = turn >= np.quantile(turn, 0.75)
+    longer = way >= np.median(way)
+    return RigidFit(
+        lag, lag_s, float(np.sqrt(np.median(turn))), float(np.sqrt(np.median(turn_apart))),
+        float(np.sqrt(np.median(turn_apart[most] / (2 * turn[most] + tiny)))),
+        float(np.sqrt(np.median(way_apart))),
+        float(np.sqrt(np.median(way_apart[longer] / (way[longer] + tiny)))), scale)
