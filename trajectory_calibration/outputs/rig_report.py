@@ -237,7 +237,7 @@ def _matrix(rig: RigResult) -> str:
 
 
 def _misfits(rig: RigResult) -> str:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for pair in rig.pairs:
         if pair.failure:
             rows.append((f'{pair.parent} - {pair.child}', pair.failure[:80], '', '', ''))
