@@ -119,7 +119,7 @@ def test_an_unobserved_direction_is_flagged_in_every_format(capsys, tmp_path):
     for name, exporter in EXPORTS.items():
         status, out, err = run(
             capsys, 'export', tmp_path / 'result.yaml', '--as', name, '--output',
-            Path(tmp_path, exporter.file_name))
+            Path(tmp_path, exporter.file_name), '--force')
         assert (status, out) == (3, '')
         assert 'unobserved: z of' in err
         if not exporter.is_binary:

@@ -7,12 +7,12 @@ import json
 from pathlib import Path
 import sys
 
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.cli.report import (
     add_truth_argument,
-    EXIT_OPEN,
     plot_paths,
     read_truth,
     require_new,
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         written.append(arguments.output)
     written += write_pages(result, a, b, truth, arguments, arguments.report)
     _print(result, truth, arguments, written)
-    return EXIT_OPEN if result.observability.unobserved else 0
+    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:

@@ -6,15 +6,13 @@ import argparse
 from pathlib import Path
 import sys
 
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
-
-# Done, but a direction of the answer is open.
-EXIT_UNOBSERVED = 3
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -68,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     if item.unobserved:
         print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
               'along it', file=sys.stderr)
-        return EXIT_UNOBSERVED
+        return exit_status.OPEN
     return 0
 
 

@@ -21,7 +21,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'fleet', help='calibrate each of many recordings, and tell when a sensor moved',
-        usage='%(prog)s [options] JOBS.yaml | BAG [BAG ...] --a TOPIC --b TOPIC',
+        usage='%(prog)s [options] JOBS.yaml | BAG ... --a A --b B',
         description='Calibrate each recording by itself on all cores, and compare. Results stay '
         'in the folder results of --output: the same command goes on where it was stopped. A '
         'recording without an answer is named with its reason. Exit status: 0 the answers agree, '

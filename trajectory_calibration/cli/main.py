@@ -13,6 +13,7 @@ import sys
 from trajectory_calibration.cli import (
     calibrate,
     compare,
+    exit_status,
     export,
     fleet,
     inspect,
@@ -31,12 +32,6 @@ from trajectory_calibration.version import __version__
 # parsed arguments that returns the exit status.
 _COMMANDS = (
     calibrate, report, inspect, export, verify, compare, rig, fleet, simulate, replay)
-
-EXIT_DONE = 0
-EXIT_NO_ANSWER = 1
-EXIT_USAGE = 2
-# What a shell reports for a process that SIGINT ended.
-EXIT_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -67,21 +62,22 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
         # Unlike sys.stdout.flush(), this also goes where standard output is closed.
         print(end='', flush=True)
     except CalibrationError as error:
-        return _fail(str(error), EXIT_USAGE if isinstance(error, ConfigError) else EXIT_NO_ANSWER)
+        return _fail(str(error), exit_status.USAGE if isinstance(error, ConfigError)
+                     else exit_status.NO_ANSWER)
     except ModuleNotFoundError as error:
-        return _fail(str(missing_package(error)), EXIT_NO_ANSWER)
+        return _fail(str(missing_package(error)), exit_status.NO_ANSWER)
     except KeyboardInterrupt:
-        return EXIT_INTERRUPTED
+        return exit_status.INTERRUPTED
     except BrokenPipeError:
         # The reader, head for instance, has seen enough.
         _discard_output()
-        return EXIT_DONE
+        return exit_status.DONE
     except OSError as error:
         if error.filename is not None:
-            return _fail(f'{error.filename}: {error.strerror}', EXIT_NO_ANSWER)
+            return _fail(f'{error.filename}: {error.strerror}', exit_status.NO_ANSWER)
         _discard_output()
         return _fail(f'standard output cannot be written: {error.strerror or error}; free space, '
-                     'or write elsewhere', EXIT_NO_ANSWER)
+                     'or write elsewhere', exit_status.NO_ANSWER)
     return status
 
 
@@ -92,7 +88,7 @@ def _run(argv: Sequence[str]) -> int:
     try:
         arguments = parser.parse_args(split_bags(join_negative_values(argv)))
     except SystemExit as exit_:
-        return exit_.code if isinstance(exit_.code, int) else EXIT_USAGE
+        return exit_.code if isinstance(exit_.code, int) else exit_status.USAGE
     arguments.argv = list(argv)
     status: int = arguments.run(arguments)
     return status
@@ -119,7 +115,8 @@ def _discard_output() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='trajectory_calibration',
-        description='Find the pose of sensor b in sensor a from their trajectories.')
+        description='Estimate the extrinsic transform between two sensors from their trajectories '
+        'alone.')
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in _COMMANDS:

@@ -8,6 +8,7 @@ from pathlib import Path
 import shlex
 from typing import TYPE_CHECKING
 
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
@@ -20,9 +21,6 @@ from trajectory_calibration.result import CalibrationResult
 
 if TYPE_CHECKING:
     from trajectory_calibration.outputs.report import Record
-
-# Done, but a direction of the answer is open.
-EXIT_OPEN = 3
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -63,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     truth = read_truth(arguments.ground_truth, result.frame_a, result.frame_b)
     for path in write_pages(result, a, b, truth, arguments, page):
         print(f'wrote {path}')
-    return EXIT_OPEN if result.observability.unobserved else 0
+    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
 
 
 def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | None:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import json
 from pathlib import Path
 
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.cli.report import EXIT_OPEN
 from trajectory_calibration.config.yaml_file import to_yaml, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         from trajectory_calibration.outputs.rig_report import render_rig
         write_text(arguments.report, render_rig(rig, trajectories), ResultError)
     _print(rig, truth, arguments)
-    return EXIT_OPEN if rig.unobserved else 0
+    return exit_status.OPEN if rig.unobserved else exit_status.DONE
 
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:

@@ -80,8 +80,7 @@ def render_failure(
 
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
-    reason, _, advice = error.rpartition('; ')
-    reason, advice = (reason, advice) if reason else (error, '')
+    reason, advice = _reason_and_advice(error)
     step = f'<p class="next"><b>Next</b> {escape(_sentence(advice))}</p>' if advice else ''
     box = ('<section class="verdict failed"><div class="head"><h1>Calibration failed</h1>'
            '<p class="badge">No answer</p></div>'
@@ -98,6 +97,15 @@ def render_failure(
         record or Record(), config or CalibrationConfig(), findings))
     return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'),
                 made_by=versions())
+
+
+def _reason_and_advice(error: str) -> tuple[str, str]:
+    """Split a message into what happened and what to do, '' where it does not say."""
+    reason, _, advice = error.partition('. ')
+    if advice:
+        return reason, advice
+    reason, _, advice = error.rpartition('; ')
+    return (reason, advice) if reason else (error, '')
 
 
 def _sentence(text: str) -> str:
