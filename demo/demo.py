@@ -167,7 +167,8 @@ def calibrate_online(node: subprocess.Popen) -> Answer:
         if not call.result().success:
             raise DemoError(f'~/calibrate failed: {call.result().message}')
         print('3. called /trajectory_calibration/calibrate; it answered:')
-        print(textwrap.indent(call.result().message, '   '))
+        text, _, machine = call.result().message.rpartition('\n')
+        print(textwrap.indent(f'{text}\n{machine[:72]} ...', '   '))
         # Subscribed only now: the extrinsic is latched.
         client.create_subscription(
             TransformStamped, '/trajectory_calibration/extrinsic', received.append,

@@ -378,3 +378,20 @@ def test_a_track_has_the_rotations_that_were_sent():
         buffer.append((1 + k) * SECOND, ('map', 'lidar'), along_x(k, 0.3 * k))
     expected = se3.exp_so3(np.array([[0, 0, 0.3 * k] for k in range(5)]))
     assert np.allclose(buffer.snapshot('a').trajectory().rotations, expected, atol=1e-15)
+
+
+def test_frame_ids_lose_a_leading_slash_with_a_note():
+    buffer = PoseBuffer(BufferLimits())
+    for k in range(1, 20):
+        # Of the same sender: some drivers write both.
+        frames = ('/map', '/lidar') if k % 2 else ('map', 'lidar')
+        buffer.append(k * 10**8, frames, (k, 0, 0, 0, 0, 0, 1))
+    track = buffer.snapshot('a')
+    assert (track.world_frame, track.sensor_frame, len(track.stamps_ns)) == ('map', 'lidar', 19)
+    assert track.warnings == (
+        'lidar: the leading slash of its frame ids was removed (tf2 refuses it)',)
+    (finding,) = track.trajectory().findings
+    assert finding.code == 'input-repaired'
+    whole = PoseBuffer(BufferLimits())
+    whole.replace(track.stamps_ns, track.poses, ('/map', ''))
+    assert whole.frames == ('map', '')

@@ -113,6 +113,7 @@ class PoseBuffer:
         self.forgotten = 0
         self.frame_changes = 0
         self.frames_before = _NO_FRAMES
+        self._slashed = False
         self.refused = dict.fromkeys(Refusal, 0)
         self._forget_poses()
 
@@ -153,6 +154,8 @@ class PoseBuffer:
         if fault is not None:
             self.refused[fault] += 1
             return
+        if frames != self.frames:
+            frames = self._without_slashes(frames)
         if frames != self.frames:
             if len(self) >= CONFIRMATIONS:
                 self._consider_frames(stamp_ns, frames, pose)
@@ -203,7 +206,7 @@ class PoseBuffer:
         if not len(order):
             self.refused[Refusal.EMPTY_PATH] += 1
             return
-        self._change_frames(frames)
+        self._change_frames(self._without_slashes(frames))
         self._fill(stamps_ns[order][:len(order) - strays], poses[order][:len(order) - strays])
 
     def _strays(self, stamps_ns: NDArray[np.int64]) -> int:
@@ -253,13 +256,24 @@ class PoseBuffer:
             self._poses[self._start:self._end].copy(),
             world or 'map',
             frame,
-            tuple(f'{frame}: {note}' for note in [self.refusals()] if note))
+            tuple(f'{frame}: {note}' for note in (self.refusals(), self._slashes()) if note))
 
     def refusals(self) -> str:
         """Return the counts of refused poses in words, or '' where none was."""
         counts = [f'{count} {why.value}' for why, count in self.refused.items() if count]
         total = sum(self.refused.values())
         return f'{total} poses refused ({", ".join(counts)})' if total else ''
+
+    def _without_slashes(self, frames: Frames) -> Frames:
+        """Return frame ids as tf2 takes them: it refuses a leading slash."""
+        if not any(frame.startswith('/') for frame in frames):
+            return frames
+        self._slashed = True
+        return frames[0].lstrip('/'), frames[1].lstrip('/')
+
+    def _slashes(self) -> str:
+        return ('the leading slash of its frame ids was removed (tf2 refuses it)'
+                if self._slashed else '')
 
     def _forget_poses(self, frames: Frames = _NO_FRAMES) -> None:
         self.frames = frames

@@ -78,7 +78,7 @@ class CalibrationSession:
     def tracks(self, frames: Sequence[str] = ('', '')) -> tuple[Track, ...]:
         """Return copies of what is held now; ``frames`` that are not empty override names."""
         return tuple(
-            buffer.snapshot(name_of(topic), frame)
+            buffer.snapshot(name_of(topic), frame.lstrip('/'))
             for buffer, topic, frame in zip(self.buffers, self.topics, frames, strict=True))
 
     def job(self, config: CalibrationConfig, frames: Sequence[str] = ('', '')) -> CalibrationJob:
@@ -89,7 +89,7 @@ class CalibrationSession:
     def frames(self, overrides: Sequence[str] = ('', '')) -> tuple[str, ...]:
         """Return the frame of each sensor as a calibration names it, '' before its first pose."""
         return tuple(
-            override or buffer.frames[1] or (name_of(topic) if len(buffer) else '')
+            override.lstrip('/') or buffer.frames[1] or (name_of(topic) if len(buffer) else '')
             for override, buffer, topic in zip(
                 overrides, self.buffers, self.topics, strict=True))
 

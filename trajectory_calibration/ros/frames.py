@@ -11,13 +11,14 @@ from typing import Any
 from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.vehicle_frames import Edge, Placement, VehicleFrames
 from trajectory_calibration.ros.conversions import stamp_ns, to_transform_stamped
+from trajectory_calibration.ros.outputs import LATCHED
 from trajectory_calibration.sources.transforms import ChainFollower
 
 # How long the node listens before it publishes on /tf_static: discovery takes up to 3 seconds.
@@ -28,9 +29,6 @@ _LOOK_S = 1.0
 
 # As tf2's own listener and broadcaster have it.
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_LATCHED = QoSProfile(
-    depth=1, reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 MISSING = 'tf2_msgs is not installed; sudo apt install ros-jazzy-tf2-msgs'
 
@@ -83,7 +81,7 @@ class VehicleTransforms:
             node.create_subscription(
                 TFMessage, '/tf', self._on_moving, QoSProfile(depth=depth))
         if publish:
-            self._publisher = node.create_publisher(TFMessage, '/tf_static', _LATCHED)
+            self._publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
 
     def follow(self, follower: ChainFollower) -> None:
         """Give every transform to a follower, too."""

@@ -21,7 +21,8 @@ from trajectory_calibration.ros.conversions import (
     to_transform_stamped,
 )
 
-_LATCHED = QoSProfile(
+# The newest value for whoever comes later.
+LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -31,13 +32,13 @@ class ResultPublisher:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._extrinsic = node.create_publisher(TransformStamped, '~/extrinsic', _LATCHED)
+        self._extrinsic = node.create_publisher(TransformStamped, '~/extrinsic', LATCHED)
         self._with_covariance = node.create_publisher(
-            PoseWithCovarianceStamped, '~/extrinsic_with_covariance', _LATCHED)
-        self._result = node.create_publisher(String, '~/result', _LATCHED)
-        self._path_a = node.create_publisher(Path, '~/path_a', _LATCHED)
-        self._path_b = node.create_publisher(Path, '~/path_b', _LATCHED)
-        self._markers = node.create_publisher(MarkerArray, '~/markers', _LATCHED)
+            PoseWithCovarianceStamped, '~/extrinsic_with_covariance', LATCHED)
+        self._result = node.create_publisher(String, '~/result', LATCHED)
+        self._path_a = node.create_publisher(Path, '~/path_a', LATCHED)
+        self._path_b = node.create_publisher(Path, '~/path_b', LATCHED)
+        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
 
     def publish(self, result: CalibrationResult, overlay: Overlay | None) -> None:
         """Publish an answer; without an overlay, as after a restart, no tracks."""
