@@ -1,4 +1,4 @@
-"""``benchmark paper``: everything in the paper's section IV, in one folder."""
+"""``python -m benchmarks.paper``: everything in the paper's section IV, in one folder."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class PaperBenchmark:
     seed: int = 0
     solvers: tuple[str, ...] = SOLVER_NAMES
     executor: Executor = field(default_factory=Executor)
-    command: str = 'trajectory_calibration benchmark paper'
+    command: str = 'python -m benchmarks.paper'
 
     def __post_init__(self) -> None:
         if self.trajectories not in TRAJECTORIES:
@@ -161,7 +161,7 @@ def _load_figures() -> Callable[..., list[str]]:
         from benchmarks.paper.figures import draw_all
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"{error.name} is not installed; pip install 'trajectory_calibration[benchmark]'"
+            f"{error.name} is not installed; pip install -e '.[fleet,plot]'"
         ) from error
     return draw_all
 

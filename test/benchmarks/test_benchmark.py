@@ -1,4 +1,4 @@
-"""``benchmark paper``: what it computes, what it writes, and that it continues."""
+"""``python -m benchmarks.paper``: what it computes, what it writes, and that it continues."""
 
 import csv
 import sys
