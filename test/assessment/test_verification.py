@@ -144,5 +144,3 @@ def test_a_component_that_a_prior_fixes_can_be_compared():
     T, P = np.eye(4), np.zeros((6, 6))
     assert not difference((T, P), (T, P), CONFIG).differs
     assert difference((T, P), (se3.moved(T, [1e-3] * 6), P), CONFIG).differs
-
-

@@ -335,4 +335,3 @@ def short_names(paths: Sequence[str]) -> list[str]:
         return names
     parents = [Path(stem).parent.name for stem in stems]
     return parents if len({*parents}) == len(parents) else stems
-
