@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml, to_yaml
 from trajectory_calibration.errors import ConfigError, TopicError
@@ -43,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     from trajectory_calibration.online.feed import feed_track
     from trajectory_calibration.online.options import (
         check_values,
+        find_frames,
         find_type,
         is_foreign,
         to_config,
@@ -52,7 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
     from trajectory_calibration.sources.bags import open_bags
     given = _read_parameters(arguments.params_file, arguments.param)
     values = check_values({name: given[name] for name in given if not is_foreign(name)})
-    topic_a, topic_b = (f'/{values[name].lstrip("/")}' for name in ('topic_a', 'topic_b'))
+    topic_a, topic_b = (
+        values[name] if find_frames(values[name]) else f'/{values[name].lstrip("/")}'
+        for name in ('topic_a', 'topic_b'))
     if topic_a == topic_b:
         raise ConfigError(f'topic_a and topic_b are both {topic_a}; needed two sensors')
     with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
@@ -61,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     for topic, name, buffer in ((topic_a, 'type_a', session.buffers[0]),
                                 (topic_b, 'type_b', session.buffers[1])):
         wanted = find_type(values[name])
-        if wanted not in (None, tracks[topic].msgtype):
+        if wanted not in (None, tracks[topic].msgtype) and find_frames(topic) is None:
             raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
                              'correct it or set auto')
         feed_track(tracks[topic], buffer)
@@ -73,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(to_yaml(result.to_dict()), end='')
     else:
         print(describe(result))
-    return 0
+    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
 
 
 def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[str, Any]:
