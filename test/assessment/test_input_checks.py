@@ -10,7 +10,13 @@ from benchmarks.drives import (
     make,
 )
 from benchmarks.families import trajectory
-from trajectory_calibration import calibrate, CalibrationConfig, MotionError, Trajectory
+from trajectory_calibration import (
+    AssociationError,
+    calibrate,
+    CalibrationConfig,
+    MotionError,
+    Trajectory,
+)
 from trajectory_calibration.assessment.input_checks import check_orientations, check_pairs
 from trajectory_calibration.assessment.offset_steadiness import offset_steadiness
 from trajectory_calibration.assessment.orientation_checks import least_steps
@@ -172,3 +178,16 @@ def test_inputs_that_failed_once(shared_data, case, reason):
     a, b = (FileSource(folder / f'{name}.tum', sensor_frame=name).load() for name in 'ab')
     with pytest.raises(MotionError, match=reason):
         calibrate(a, b)
+
+
+def test_captures_of_a_vehicle_that_stands_still_are_named_with_their_setting(shared_data):
+    folder = shared_data / 'cases' / 'stop_and_go'
+    if not folder.exists():
+        pytest.skip(f'no {folder}')
+    a, b = (FileSource(folder / f'{name}.tum', sensor_frame=name).load() for name in 'ab')
+    setting = '--association nearest --max-time-difference 0.74'
+    with pytest.raises(AssociationError, match=setting):
+        calibrate(a, b)
+    found = calibrate(a, b, CalibrationConfig(association='nearest', max_time_difference=0.74))
+    assert found.poses == 20
+    assert np.sqrt(np.diag(found.covariance)[:3]).max() < 0.01

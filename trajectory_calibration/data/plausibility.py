@@ -23,6 +23,8 @@ _SPEED_SPAN_NS = 1_000_000_000
 # A median step, seconds, that no trajectory of use has, and the longest that a divisor may leave.
 _LONGEST_STEP = 10.0
 _USUAL_STEP = 1.0
+# Fewer poses may be captures, one at each place where the sensors stood still.
+_CAPTURES = 30
 
 # What seconds are divided by where they are none, and the factor that rates of sensors differ by.
 _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
@@ -35,7 +37,7 @@ _FAR_STEPS = 5.0
 def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the stamps, where the steps are far too long."""
     step = trajectory.usual_step_ns * 1e-9
-    if step <= _LONGEST_STEP:
+    if step <= _LONGEST_STEP or len(trajectory) < _CAPTURES:
         return ()
     unit, divisor = next(
         (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])

@@ -175,8 +175,7 @@ def associate_by_interpolation(
         'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
         np.count_nonzero(~outside & ~bridged), between)
     _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
-                   f'than {(max_gap_ns or 0) * 1e-9:g} s; raise max_gap, set time_offset, or '
-                   'leave it to association auto which sensor is interpolated')
+                   f'than {(max_gap_ns or 0) * 1e-9:g} s. {_ways_out(a.stamps_ns, stamps_b)}')
     return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
 
 
@@ -217,6 +216,19 @@ def _require_pairs(
             f'only {summary.pairs} pairs of poses from {summary.poses_a} and {summary.poses_b}, '
             f'needed at least {MIN_PAIRS}: {summary.outside} poses of {b.sensor_frame} lie '
             f'outside the time of {a.sensor_frame}, {why}')
+
+
+def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:
+    """Return the settings that pair poses whose gaps are too long to be bridged."""
+    apart_s = 1e-9 * float(np.abs(stamps_a[_nearest(stamps_a, stamps_b)] - stamps_b).max())
+    step_s = 1e-9 * float(np.median(np.diff(stamps_a)))
+    # Rounded up, so that the setting that is named suffices.
+    apart, step = (np.ceil(100 * seconds) / 100 for seconds in (apart_s, step_s))
+    if apart >= step:
+        return ('Raise max_gap, set time_offset, or leave it to association auto which sensor is '
+                'interpolated')
+    return ('If the sensors stood still at each pose: --association nearest '
+            f'--max-time-difference {apart:g}. If they moved: --max-gap {step:g}')
 
 
 def _summarise(
