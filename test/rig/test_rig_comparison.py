@@ -1,0 +1,102 @@
+"""Whether a rig still holds, and who moved."""
+
+import numpy as np
+import pytest
+
+from trajectory_calibration.cli.main import main
+from trajectory_calibration.errors import ResultError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.rig import RigConfig, RigResult
+from trajectory_calibration.rig.comparison import compare_rigs
+from trajectory_calibration.rig.result import SensorAnswer
+from trajectory_calibration.rig.shared_noise import twist_to_step
+from trajectory_calibration.simulation.files import write_tum
+from trajectory_calibration.simulation.noise import Noise
+from trajectory_calibration.simulation.rig import RigScenario, simulate_rig
+from trajectory_calibration.simulation.scenario import random_pose, Sensor
+
+NAMES = ('a', 'b', 'c', 'd')
+SIGMA = 0.002
+
+
+def rig(X, rng):
+    """Return the rig of a drive: every sensor errs by a twist of its own."""
+    twist = SIGMA * rng.standard_normal((len(X), 6))
+    sensors = {'a': SensorAnswer('a', 'a', 'a', np.eye(4), np.zeros((6, 6)), {})}
+    L = [twist_to_step(np.eye(4), x) for x in X]
+    C = np.zeros((len(X) - 1, 6, len(X) - 1, 6))
+    for k in range(1, len(X)):
+        T = se3.moved(X[k], L[k] @ (twist[k] - twist[0]))
+        for j in range(1, len(X)):
+            C[k - 1, :, j - 1] = SIGMA**2 * (1 + (j == k)) * L[k] @ L[j].T
+        sensors[NAMES[k]] = SensorAnswer(
+            NAMES[k], NAMES[k], 'a', T, C[k - 1, :, k - 1], {})
+    size = 6 * (len(X) - 1)
+    return RigResult('a', sensors, C.reshape(size, size), NAMES[1:len(X)], (), (), 0.0, 0, 1.0,
+                     (), RigConfig())
+
+
+@pytest.fixture
+def mounts():
+    rng = np.random.default_rng(0)
+    return np.stack([np.eye(4), *(random_pose(rng) for _ in range(3))]), rng
+
+
+def test_a_rig_that_holds(mounts):
+    X, rng = mounts
+    alarms, ratio = 0, []
+    for _ in range(60):
+        found = compare_rigs(rig(X, rng), rig(X, rng))
+        alarms += not found.holds
+        ratio.append(found.chi_squared / found.degrees)
+    assert alarms <= 1
+    assert 0.85 < np.mean(ratio) < 1.15
+
+
+@pytest.mark.parametrize('moved', [1, 2, 3])
+def test_a_sensor_that_moved_is_named(mounts, moved):
+    X, rng = mounts
+    later = X.copy()
+    later[moved] = se3.moved(X[moved], [0.03, 0.0, 0.02, 0.0, 0.0, 0.01])
+    found = compare_rigs(rig(X, rng), rig(later, rng))
+    assert [change.sensor for change in found.changes] == [NAMES[moved]]
+    np.testing.assert_allclose(
+        found.changes[0].step, [0.03, 0.0, 0.02, 0.0, 0.0, 0.01], atol=5 * SIGMA)
+    assert f'{NAMES[moved]} moved by' in str(found)
+
+
+def test_the_base_that_moved_is_named(mounts):
+    X, rng = mounts
+    later = X.copy()
+    later[1:] = se3.inverse(se3.exp_se3(np.array([0.03, 0.0, 0.02, 0.0, 0.0, 0.01]))) @ X[1:]
+    found = compare_rigs(rig(X, rng), rig(later, rng))
+    assert [change.sensor for change in found.changes] == ['a']
+    np.testing.assert_allclose(
+        found.changes[0].step, [0.03, 0.0, 0.02, 0.0, 0.0, 0.01], atol=5 * SIGMA)
+
+
+def test_rigs_without_common_sensors_are_an_error(mounts):
+    X, rng = mounts
+    one = rig(X, rng)
+    other = RigResult.from_dict({**one.to_dict(), 'sensors': {
+        'a': one.to_dict()['sensors']['a']}, 'covariance_of': [], 'covariance': []})
+    with pytest.raises(ResultError, match='one more sensor in both'):
+        compare_rigs(one, other)
+
+
+def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
+    noise = Noise(white=0.002, white_rotation=0.0003)
+    run = simulate_rig(RigScenario({name: Sensor(noise=noise) for name in 'abc'}, 30.0), 3)
+    for name, trajectory in run.trajectories.items():
+        write_tum(tmp_path / f'{name}.tum', trajectory)
+    (tmp_path / 'RIG.yaml').write_text(
+        'sensors:\n' + ''.join(f'  {name}: {{file: {name}.tum}}\n' for name in 'abc'))
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--output', str(tmp_path)]) == 0
+    saved = tmp_path / 'rig.yaml'
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--verify', str(saved)]) == 0
+    assert 'the rig holds' in capsys.readouterr().out
+    data = RigResult.load(saved).to_dict()
+    data['sensors']['b']['T_base_sensor']['translation'][0] += 0.1
+    RigResult.from_dict(data).save(saved)
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--verify', str(saved)]) == 4
+    assert 'b moved by 10 cm' in capsys.readouterr().out

@@ -1,0 +1,143 @@
+"""Does a rig still hold? Two rigs of independent drives, sensor by sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.errors import ResultError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.rig.contradictions import ALARM, describe_step, survival
+from trajectory_calibration.rig.result import RigResult
+from trajectory_calibration.rig.shared_noise import regular, twist_to_step
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A sensor that is elsewhere now.
+
+    Attributes
+    ----------
+    sensor : its name.
+    step : (6,), from the old pose in the base to the new one, order as a covariance; of the base
+        itself, about the base.
+    chi_squared, p_value : of no change, six degrees of freedom.
+
+    """
+
+    sensor: str
+    step: FloatArray
+    chi_squared: float
+    p_value: float
+
+    def __str__(self) -> str:
+        return (f'{self.sensor} moved by {describe_step(self.step)} '
+                f'(chi-squared {self.chi_squared:.1f} of 6, p = {self.p_value:.1g})')
+
+
+@dataclass(frozen=True, eq=False)
+class RigComparison:
+    """What became of a rig.
+
+    Attributes
+    ----------
+    sensors : that both rigs have, the base first.
+    missing : that the new rig does not have.
+    changes : sensors that moved, the largest first.
+    chi_squared, degrees, p_value : of no change at all.
+
+    """
+
+    sensors: tuple[str, ...]
+    missing: tuple[str, ...]
+    changes: tuple[Change, ...]
+    chi_squared: float
+    degrees: int
+    p_value: float
+
+    @property
+    def holds(self) -> bool:
+        """Tell whether nothing moved."""
+        return not self.changes
+
+    def __str__(self) -> str:
+        verdict = ('the rig holds' if self.holds else
+                   '; '.join(str(change) for change in self.changes))
+        missing = f'; not compared: {", ".join(self.missing)}' if self.missing else ''
+        return (f'{verdict} (all of {len(self.sensors)} sensors: chi-squared '
+                f'{self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.2g}){missing}')
+
+
+def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
+    """Compare two rigs; a sensor is named only as far as the others do not explain it.
+
+    The sensor whose own move explains most is taken out first, and so on. Where all sensors seem
+    to move alike, it is the base that did.
+
+    Raises
+    ------
+    ResultError
+        Fewer than two sensors in common.
+
+    """
+    base = old.base
+    common = [name for name in old.trees.get(base, ())
+              if name in new.sensors and base in new.sensors
+              and new.sensors[name].base == new.sensors[base].base]
+    others = [name for name in common if name != base]
+    if not others:
+        raise ResultError(
+            f'the rigs have {", ".join(old.sensors)} and {", ".join(new.sensors)}, needed the '
+            f'base {base} and one more sensor in both')
+    shift = np.concatenate([
+        _twist_between(old.transform(base, name), new.transform(base, name))
+        for name in others])
+    V = _twist_covariance(old, base, others) + _twist_covariance(new, base, others)
+    # One column of blocks for each sensor: the base moves all others the other way.
+    columns = {name: np.kron(np.eye(len(others))[:, [k]], np.eye(6))
+               for k, name in enumerate(others)}
+    columns[base] = -np.kron(np.ones((len(others), 1)), np.eye(6))
+    W = np.linalg.inv(regular(V))
+    total = float(shift @ W @ shift)
+    found: list[Change] = []
+    free = np.zeros((len(shift), 0))
+    left, degrees = total, len(shift)
+    while degrees > 0 and survival(left, degrees) < ALARM:
+        tried = []
+        for name, column in columns.items():
+            if name in {change.sensor for change in found}:
+                continue
+            A = np.concatenate([free, column], axis=1)
+            answer = np.linalg.lstsq(A.T @ W @ A, A.T @ W @ shift, rcond=1e-12)[0]
+            rest = shift - A @ answer
+            tried.append((float(rest @ W @ rest), name, answer[-6:], A))
+        after, name, twist, free = min(tried, key=lambda item: item[0])
+        X = old.sensors[name].T_base_sensor if name != base else np.eye(4)
+        found.append(Change(name, twist_to_step(np.eye(4), X) @ twist, left - after,
+                            min(1.0, survival(left - after, 6) * len(tried))))
+        left, degrees = after, degrees - 6
+    return RigComparison(
+        tuple(common), tuple(name for name in old.sensors if name not in common), tuple(found),
+        total, len(shift), survival(total, len(shift)))
+
+
+def _twist_between(T_0: FloatArray, T_1: FloatArray) -> FloatArray:
+    """Return the (6,) twist about the base that takes one pose to another."""
+    return se3.log_se3(T_1 @ se3.inverse(T_0))
+
+
+def _twist_covariance(rig: RigResult, base: str, others: list[str]) -> FloatArray:
+    """Return (6 n, 6 n) of the sensors in ``base``, as twists about it."""
+    of = {name: np.zeros((6, len(rig.covariance))) for name in (base, *others)}
+    for name, rows in of.items():
+        if name in rig.free:
+            k = 6 * rig.free.index(name)
+            rows[:, k:k + 6] = np.linalg.inv(
+                twist_to_step(np.eye(4), rig.sensors[name].T_base_sensor))
+    # From the base of the rig to the one that is asked for.
+    Ad = se3.adjoint(se3.inverse(rig.sensors[base].T_base_sensor))
+    rows = np.concatenate([Ad @ (of[name] - of[base]) for name in others])
+    covariance: FloatArray = rows @ rig.covariance @ rows.T
+    return covariance
