@@ -175,7 +175,7 @@ def test_wrong_usage(capsys, arguments):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['fleet']])
+    [], ['calibrate'], ['inspect'], ['replay'], ['report'], ['simulate'], ['fleet']])
 def test_help_fits_a_terminal(monkeypatch, capsys, arguments):
     monkeypatch.setenv('COLUMNS', '80')
     status, out, err = run(capsys, *arguments, '--help')

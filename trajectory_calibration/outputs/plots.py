@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -53,13 +53,14 @@ def save_plots(
         The folder or a file cannot be written.
 
     """
-    figures = {
-        'overview': _overview(data), 'deviations': _deviations(data.result),
-        'parts': _parts(data), 'residuals': _residuals(data)}
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, figure in figures.items():
+        for name, draw in _FIGURES.items():
+            figure = draw(data)
+            # Laid out once, not for each format.
+            figure.draw_without_rendering()
+            figure.set_layout_engine('none')
             for kind in formats:
                 path = folder / f'{name}.{kind}'
                 figure.savefig(path, dpi=130)
@@ -73,8 +74,7 @@ def save_plots(
 
 def plot_files(folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Return the files that ``save_plots`` writes."""
-    return [folder / f'{name}.{kind}' for name in ('overview', 'deviations', 'parts', 'residuals')
-            for kind in formats]
+    return [folder / f'{name}.{kind}' for name in _FIGURES for kind in formats]
 
 
 def _figure(width: float, height: float, title: str) -> Figure:
@@ -199,3 +199,9 @@ def _residuals(data: ReportData) -> Figure:
         axes.plot(seconds, values[:, k], color=_A, lw=0.6)
         _plain(axes, AXES[k], 'time, s', unit_of(k))
     return figure
+
+
+# Name of the file -> function of the data.
+_FIGURES: dict[str, Callable[[ReportData], Figure]] = {
+    'overview': _overview, 'deviations': lambda data: _deviations(data.result), 'parts': _parts,
+    'residuals': _residuals}
