@@ -123,7 +123,7 @@ def estimate_uncertainty(
         # A solver that takes the motion for what it is trusts the noise in it as well.
         open_ = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
         return Uncertainty(
-            _semidefinite(solution.covariance) + open_.T @ open_, unobserved=open_)
+            _bounded(solution.covariance + open_.T @ open_), unobserved=open_)
     if solution.linearise is None:
         raise SolverError('the solver gave neither a covariance nor the equations it solved')
     config = config or CalibrationConfig()
@@ -135,10 +135,10 @@ def estimate_uncertainty(
     open_ = excited.unobserved
     if known is None:
         covariance = _from_residuals(solution.T_a_b, motions, solution.linearise, excited.basis)
-        return Uncertainty(covariance + open_.T @ open_, open_)
+        return Uncertainty(_bounded(covariance + open_.T @ open_), open_)
     step = np.clip(se3.step_between(known.T_a_b, solution.T_a_b), -UNKNOWN, UNKNOWN)
     return Uncertainty(
-        known.covariance + np.outer(step, step) + open_.T @ open_, open_,
+        _bounded(known.covariance + np.outer(step, step) + open_.T @ open_), open_,
         _uncorrected(known, config.solver))
 
 
@@ -173,9 +173,12 @@ def _from_residuals(
     return 0.5 * (covariance + covariance.T)
 
 
-def _semidefinite(covariance: FloatArray) -> FloatArray:
-    """Return the nearest (6, 6) matrix without negative variances, which rounding may leave."""
-    eigenvalues, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
-    semidefinite: FloatArray = root @ root.T
-    return semidefinite
+def _bounded(covariance: FloatArray) -> FloatArray:
+    """Return a (6, 6) covariance with no negative variance, and none beyond the unknown.
+
+    Rounding may leave the former; the latter adds up from all that call a direction open.
+    """
+    unit = np.outer(UNKNOWN, UNKNOWN)
+    variances, axes = np.linalg.eigh(0.5 * (covariance + covariance.T) / unit)
+    bounded: FloatArray = (axes * np.clip(variances, 0.0, 1.0)) @ axes.T * unit
+    return 0.5 * (bounded + bounded.T)

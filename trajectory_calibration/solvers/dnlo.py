@@ -43,7 +43,7 @@ _IPOPT_MOTIONS = 500
 
 # A cost below this share of another is clearly lower, and motions that are enough to look for one.
 _CLEARLY_LOWER = 0.95
-_ENOUGH = 600
+_ENOUGH = 400
 
 # Precision of an extrinsic from which a search goes on, radians.
 _ROUGHLY = 1e-5
@@ -52,7 +52,7 @@ _ROUGHLY = 1e-5
 _LEAST_KEPT = 2
 
 # Starts of the alternation: consecutive parts of the drive, each solved alone.
-_PARTS = 8
+_PARTS = 4
 
 # The paper's start: rotation vector, translation and all weights. The authors' rotation matrix
 # is the transpose of the usual one, hence the signs.

@@ -300,19 +300,14 @@ def polish(
 
 def determined_inverse(H: FloatArray, motions: int) -> FloatArray:
     """Return the inverse of a (6, 6) sum of squares in (t, theta), zero where that is rounding."""
-    Q = determined_directions(H, motions)
-    inverse: FloatArray = Q @ np.linalg.solve(Q.T @ H @ Q, Q.T)
+    eigenvalues, Q = _determined(H, motions)
+    inverse: FloatArray = (Q / eigenvalues) @ Q.T
     return inverse
 
 
 def determined_directions(H: FloatArray, motions: int) -> FloatArray:
     """Return (6, K) directions that span what a sum of squares in (t, theta) determines."""
-    largest = np.diagonal(H).reshape(2, 3).max(axis=1)
-    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
-    eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
-    directions: FloatArray = Q[:, kept] / scale[:, None]
-    return directions
+    return _determined(H, motions)[1]
 
 
 def newton_step(G: FloatArray, T_a_b: FloatArray, motions: int) -> FloatArray:
@@ -343,6 +338,14 @@ def _determines_rotation(G: FloatArray, T_a_b: FloatArray) -> bool:
     S = J @ G[:9, :9] @ J.T - across @ np.linalg.solve(G[9:12, 9:12], across.T)
     eigenvalues = np.linalg.eigvalsh(0.5 * (S + S.T))
     return bool(eigenvalues[0] > _UNDETERMINED * eigenvalues[-1])
+
+
+def _determined(H: FloatArray, motions: int) -> tuple[FloatArray, FloatArray]:
+    largest = np.diagonal(H).reshape(2, 3).max(axis=1)
+    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
+    eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
+    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
+    return eigenvalues[kept], Q[:, kept] / scale[:, None]
 
 
 def _with_one(R: FloatArray) -> FloatArray:

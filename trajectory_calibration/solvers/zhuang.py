@@ -45,6 +45,9 @@ _NO_AXIS = 1e-9
 
 _MAX_ITERATIONS = 500
 _HALVINGS = 40
+
+# Change of the cost, relative to that of no extrinsic at all, which is rounding.
+_ROUNDING = 1e-13
 _STEP_TOLERANCE = 1e-12
 
 
@@ -163,7 +166,7 @@ def _gauss_newton(
     S: FloatArray, z: FloatArray, t: FloatArray, hold: FloatArray, motions: int,
 ) -> _Minimum:
     """Minimise with ``(t - t_start)^T hold (t - t_start)`` added to the cost."""
-    t_start, iteration = t, 0
+    t_start, iteration, rounding = t, 0, _ROUNDING * float(S[15, 15])
     plain, gradient, H = _equations(S, z, t)
     # A direction that the motion leaves open stays where it is, whatever rounding makes of it.
     Q = quadratic.determined_directions(H, motions)
@@ -176,7 +179,7 @@ def _gauss_newton(
         for _ in range(_HALVINGS):
             plain, gradient, H = _equations(S, z + step[:3], t + step[3:])
             off = t + step[3:] - t_start
-            if plain + off @ hold @ off <= cost:
+            if plain + off @ hold @ off <= cost + rounding:
                 break
             step = 0.5 * step
         else:
