@@ -141,9 +141,7 @@ def _fit(
         # Of turns about one axis the rest of the rotation is open; where both went closes it.
         reached = sign * (v_a + lever @ t)
         R = se3.nearest_rotation(
-            (turn_a * weight_t[:, None]).T @ turn_b
-            + (reached * weight_v[:, None]).T @ v_b
-            * np.sqrt(np.sum(v_a**2) / max(float(np.sum(v_b**2)), tiny)))
+            _correlation(turn_a, turn_b, weight_t) + _correlation(reached, v_b, weight_v))
         turn_apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
         J = np.concatenate([lever, -(v_b @ R.T)[:, :, None]], axis=2)
         weighted = weight_v[:, None, None] * J
@@ -164,3 +162,14 @@ def _fit(
         float(np.sqrt(np.median(turn_apart[most] / (2 * turn[most] + tiny)))),
         float(np.sqrt(np.median(way_apart))),
         float(np.sqrt(np.median(way_apart[longer] / (way[longer] + tiny)))), scale)
+
+
+def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the (3, 3) sum of products of (K, 3) vectors as a share of what it can be.
+
+    So that neither turns nor ways rule the other, however well they fit by themselves.
+    """
+    weighted = a * weights[:, None]
+    most = np.sqrt(np.sum(weighted * a) * float(weights @ np.sum(b**2, axis=1)))
+    share: FloatArray = weighted.T @ b / max(float(most), np.finfo(float).tiny)
+    return share
