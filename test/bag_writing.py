@@ -1,14 +1,18 @@
 """Real bags for tests, written with rosbags."""
 
 from pathlib import Path
+import struct
+from zlib import crc32
 
 import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.typesys import get_typestore, Stores
+from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
+ROS1.register(get_types_from_msg(
+    'geometry_msgs/TransformStamped[] transforms', 'tf2_msgs/msg/TFMessage'))
 
 
 def make_track(count=50, seed=1):
@@ -64,6 +68,19 @@ class Messages:
         return self.type('geometry_msgs/msg/PoseWithCovarianceStamped')(
             header=self.header(stamp_ns, frame_id), pose=self.with_covariance(pose))
 
+    def transform(self, stamp_ns, pose, frame_id='map', child_frame_id='lidar'):
+        x, y, z, qx, qy, qz, qw = map(float, pose)
+        return self.type('geometry_msgs/msg/TransformStamped')(
+            header=self.header(stamp_ns, frame_id), child_frame_id=child_frame_id,
+            transform=self.type('geometry_msgs/msg/Transform')(
+                translation=self.type('geometry_msgs/msg/Vector3')(x=x, y=y, z=z),
+                rotation=self.type('geometry_msgs/msg/Quaternion')(x=qx, y=qy, z=qz, w=qw)))
+
+    def tf(self, *transforms):
+        """Return a TFMessage of (stamp, pose, parent, child)."""
+        return self.type('tf2_msgs/msg/TFMessage')(
+            transforms=[self.transform(*transform) for transform in transforms])
+
     def path(self, stamps_ns, poses, frame_id='map', element_frame='map'):
         return self.type('nav_msgs/msg/Path')(
             header=self.header(stamps_ns[-1] if len(stamps_ns) else 0, frame_id),
@@ -79,10 +96,12 @@ class BagFile:
 
     def __init__(self, path, storage='mcap'):
         self.path = Path(path)
-        self.ros1 = storage == 'ros1'
+        self.ros1 = storage.startswith('ros1')
         self.messages = Messages(ROS1 if self.ros1 else ROS2)
         if self.ros1:
             self.writer = rosbag1.Writer(self.path)
+            if storage == 'ros1 bz2':
+                self.writer.set_compression(rosbag1.Writer.CompressionFormat.BZ2)
         else:
             plugin = StoragePlugin.SQLITE3 if 'sqlite3' in storage else StoragePlugin.MCAP
             self.writer = rosbag2.Writer(self.path, version=9, storage_plugin=plugin)
@@ -124,3 +143,56 @@ def write_bag(path, storage='mcap', count=50):
             bag.add('/pose', bag.messages.pose(stamp_ns, second), stamp_ns + 6)
         bag.add('/words', bag.messages.text('hello'), stamps_ns[-1] + 7)
     return Path(path)
+
+
+def _record(opcode, body):
+    return struct.pack('<BQ', opcode, len(body)) + body
+
+
+def _text(words):
+    data = words.encode()
+    return struct.pack('<I', len(data)) + data
+
+
+def write_mcap(path, messages, *, profile='ros2', encoding='cdr', crc=True, chunked=True,
+               indexed=True):
+    """Write an mcap file as other recorders do.
+
+    ``messages`` are tuples of topic, type, receive time and data.
+    """
+    channels, inner, counts = {}, b'', {}
+    for topic, msgtype, stamp_ns, data in messages:
+        if topic not in channels:
+            key = channels[topic] = len(channels) + 1
+            inner += _record(3, struct.pack('<H', key) + _text(msgtype) + _text('ros2msg')
+                             + _text(''))
+            inner += _record(4, struct.pack('<HH', key, key) + _text(topic) + _text(encoding)
+                             + struct.pack('<I', 0))
+        key = channels[topic]
+        counts[key] = counts.get(key, 0) + 1
+        inner += _record(5, struct.pack('<HIQQ', key, 0, int(stamp_ns), int(stamp_ns)) + data)
+    body = inner
+    if chunked:
+        body = _record(6, struct.pack('<QQQI', 0, 1, len(inner), crc32(inner) if crc else 0)
+                       + _text('') + struct.pack('<Q', len(inner)) + inner)
+    magic = b'\x89MCAP0\r\n'
+    start = magic + _record(1, _text(profile) + _text('test')) + body + _record(15, bytes(4))
+    heads = b''.join(
+        _record(opcode, inner[offset + 9:offset + 9 + size])
+        for opcode, offset, size in _walk(inner) if opcode in (3, 4))
+    statistics = _record(11, struct.pack('<QHIIIIQQ', sum(counts.values()), len(counts),
+                                         len(counts), 0, 0, 1, 0, 1)
+                         + struct.pack('<I', 10 * len(counts))
+                         + b''.join(struct.pack('<HQ', *item) for item in counts.items()))
+    summary = heads + statistics if indexed else b''
+    footer = _record(2, struct.pack('<QQI', len(start) if indexed else 0, 0, 0))
+    Path(path).write_bytes(start + summary + footer + magic)
+    return Path(path)
+
+
+def _walk(data):
+    offset = 0
+    while offset < len(data):
+        opcode, size = struct.unpack_from('<BQ', data, offset)
+        yield opcode, offset, size
+        offset += 9 + size

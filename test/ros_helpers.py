@@ -21,7 +21,9 @@ from geometry_msgs.msg import (
     PoseWithCovariance,
     PoseWithCovarianceStamped,
     Quaternion,
+    Transform,
     TransformStamped,
+    Vector3,
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
@@ -123,6 +125,9 @@ def to_message(type_name, stamp_ns, T_w_s, frame='map', child='sensor'):
             header=header, child_frame_id=child, pose=PoseWithCovariance(pose=pose))
     if type_name == 'PoseStamped':
         return PoseStamped(header=header, pose=pose)
+    if type_name == 'TransformStamped':
+        return TransformStamped(header=header, child_frame_id=child, transform=Transform(
+            translation=Vector3(x=x, y=y, z=z), rotation=pose.orientation))
     return PoseWithCovarianceStamped(header=header, pose=PoseWithCovariance(pose=pose))
 
 

@@ -1,6 +1,7 @@
 """``trajectory_calibration inspect``: what is there, and whether its motion suffices."""
 
 import json
+from pathlib import Path
 
 from bag_writing import BagFile, make_track
 from cli_helpers import make_pair, run, write_pair, write_pair_bag
@@ -201,3 +202,34 @@ def test_two_poses():
     found = inspect_trajectory(
         Trajectory(np.array([0, 10**9]), np.stack([np.eye(4)] * 2)), 'x', 'file')
     assert (found.rate_hz, found.motion) == (1.0, 'insufficient')
+
+
+def test_the_frames_of_a_bag_and_the_pairs_that_can_serve(tmp_path, capsys):
+    stamps_ns, poses = make_track(40)
+    with BagFile(tmp_path / 'bag') as bag:
+        bag.add('/tf_static', bag.messages.tf((0, [1, 0, 0, 0, 0, 0, 1], 'base', 'lidar')), 1)
+        for stamp, pose in zip(stamps_ns, poses, strict=True):
+            bag.add('/tf', bag.messages.tf((stamp, pose, 'odom', 'base')), stamp)
+    _, out, _ = run(capsys, 'inspect', tmp_path / 'bag')
+    assert 'tf:odom.base  (tf2_msgs/msg/TFMessage)' in out
+    assert 'base in odom' in out
+    assert 'base, lidar, odom' in out
+    assert 'base -> lidar (static), odom -> base' in out
+    assert 'cannot serve' not in out
+    _, out, _ = run(capsys, 'inspect', tmp_path / 'bag', '--format', 'json')
+    assert json.loads(out)['inputs'][0]['transforms']['pairs'] == ['tf:odom.base']
+
+
+def test_a_file_of_another_layout(tmp_path, capsys):
+    a, _, _ = write_pair(tmp_path)
+    lines = Path(a).read_text(encoding='utf-8').splitlines()
+    rows = [line.split() for line in lines if not line.startswith('#')]
+    path = tmp_path / 'swapped.txt'
+    path.write_text('\n'.join(' '.join([row[0], *row[4:], *row[1:4]]) for row in rows),
+                    encoding='utf-8')
+    status, _, err = run(capsys, 'inspect', path)
+    assert status == 1
+    assert '--columns t,qx,qy,qz,qw,x,y,z or --columns t,qw,qx,qy,qz,x,y,z' in err
+    status, out, _ = run(capsys, 'inspect', path, '--columns', 't,qx,qy,qz,qw,x,y,z')
+    assert status == 0
+    assert 'sufficient' in out

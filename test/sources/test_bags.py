@@ -148,7 +148,7 @@ def test_blocks_are_joined(tmp_path):
     with open_bags([tmp_path / 'bag']) as reader:
         track = reader.read(['/pose'], lambda done, total: seen.append((done, total)))['/pose']
     _expect(track.to_trajectory(), stamps_ns, poses)
-    assert seen == [(8192, 9000)]
+    assert seen[-1] == (9000, 9000)
 
 
 def test_headers_without_stamps_fall_back_to_the_time_of_reception(tmp_path):
@@ -292,6 +292,6 @@ def test_channels_list_everything(tmp_path):
     write_bag(tmp_path / 'bag')
     with open_bags([tmp_path / 'bag']) as reader:
         assert [tuple(channel) for channel in reader.channels] == [
-            ('/odom', TRAJECTORY_TYPES[0], 50), ('/pose', TRAJECTORY_TYPES[1], 50),
-            ('/words', 'std_msgs/msg/String', 1)]
+            ('/odom', TRAJECTORY_TYPES[0], 50, 'cdr'), ('/pose', TRAJECTORY_TYPES[1], 50, 'cdr'),
+            ('/words', 'std_msgs/msg/String', 1, 'cdr')]
         assert reader.notes == []

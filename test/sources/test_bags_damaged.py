@@ -75,6 +75,29 @@ def test_flipped_bytes(bags, tmp_path, storage):
         _check(bag)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize('storage', STORAGES)
+def test_two_hundred_and_fifty_damaged_bags(bags, tmp_path, storage):
+    """Flipped bits, flipped bytes, cuts, holes: no traceback, nothing lost in silence."""
+    bag, file = _copy(bags[storage], tmp_path)
+    data = file.read_bytes()
+    rng = np.random.default_rng(11)
+    for k in range(250):
+        damaged = bytearray(data)
+        position = int(rng.integers(0, len(data)))
+        if k % 5 == 0:
+            del damaged[position:]
+        elif k % 5 == 1:
+            size = int(rng.integers(1, 4096))
+            damaged[position:position + size] = bytes(len(damaged[position:position + size]))
+        else:
+            for where in rng.integers(0, len(data), size=rng.integers(1, 4)):
+                damaged[where] ^= 1 << int(rng.integers(8)) if k % 5 == 2 else rng.integers(1, 256)
+        file.write_bytes(damaged)
+        _check(bag)
+        _check(file)
+
+
 def test_flipped_bytes_of_the_index(bags, tmp_path):
     """The end of an mcap file, where its reader begins."""
     bag, file = _copy(bags['mcap zstd'], tmp_path)
@@ -99,7 +122,7 @@ def test_how_much_is_missing_is_said(bags, tmp_path, storage):
     np.testing.assert_array_equal(trajectory.stamps_ns, STAMPS_NS[kept])
     np.testing.assert_array_equal(trajectory.positions, POSES[kept, :3])
     warnings = '\n'.join(trajectory.warnings)
-    assert f'{file} is damaged (ReaderError: ' in warnings
+    assert f'{file} is damaged: ' in warnings
     assert f'read {read} of {COUNT} messages, {COUNT - read} are missing' in warnings
 
     alone = BagSource([file], '/odom').load()
@@ -189,9 +212,9 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
     ('nothing', 'does not exist; needed a rosbag2 folder or a .mcap, .db3, .bag file'),
     ('file.txt', 'is not a bag; needed'),
     ('folder', 'is not a bag: no metadata.yaml that can be read .*; give a folder that ros2 bag'),
-    ('empty.mcap', 'is damaged .ReaderError: .* nothing in it can be read; copy it again'),
-    ('empty.db3', 'is damaged .* nothing in it can be read'),
-    ('empty.bag', 'is damaged .* nothing in it can be read'),
+    ('empty.mcap', 'is damaged: .* nothing in it can be read; copy it again'),
+    ('empty.db3', 'is damaged: .* nothing in it can be read'),
+    ('empty.bag', 'is damaged: .* nothing in it can be read'),
 ])
 def test_what_is_no_bag(tmp_path, name, message):
     (tmp_path / 'folder').mkdir()

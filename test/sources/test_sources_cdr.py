@@ -20,6 +20,8 @@ _STAMPS = st.integers(-2**31 * 10**9, (2**31 - 1) * 10**9)
 def _build(msgtype, stamp_ns, pose, frame, child):
     if msgtype == cdr.ODOMETRY:
         return _MESSAGES.odometry(stamp_ns, pose, frame, child)
+    if msgtype == cdr.TRANSFORM:
+        return _MESSAGES.transform(stamp_ns, pose, frame, child)
     if msgtype == cdr.POSE:
         return _MESSAGES.pose(stamp_ns, pose, frame)
     return _MESSAGES.pose_with_covariance(stamp_ns, pose, frame)
@@ -35,7 +37,8 @@ def test_one_pose(msgtype, stamp_ns, pose, frame, child, padding):
     data = _serialize(_build(msgtype, stamp_ns, pose, frame, child)) + bytes(padding)
     fast = cdr.parse_pose(data, msgtype)
     assert fast == _GENERAL.pose(data, msgtype)
-    assert fast == (stamp_ns, (frame, child if msgtype == cdr.ODOMETRY else ''), pose)
+    has_child = msgtype in (cdr.ODOMETRY, cdr.TRANSFORM)
+    assert fast == (stamp_ns, (frame, child if has_child else ''), pose)
 
 
 @settings(max_examples=50, deadline=None)

@@ -8,15 +8,22 @@ import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
+from trajectory_calibration.cli.inputs import add_file_arguments, load_one, options_of
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.sources.files import FileSource, FORMATS, is_bag
+from trajectory_calibration.sources.files import is_bag
+from trajectory_calibration.sources.inputs import InputOptions
+from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
 
 if TYPE_CHECKING:
     from trajectory_calibration.sources.topics import TopicTrack
+
+
+# Pairs of frames that are described in full; the others are named.
+_MOST_PAIRS = 6
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -28,10 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
                     'whether their motion can determine an extrinsic.')
     parser.add_argument('paths', metavar='PATH', nargs='+', type=Path, help='bag or file')
     parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
-    parser.add_argument(
-        '--file-format', choices=FORMATS, help='format of the files (default: from their rows)')
-    parser.add_argument(
-        '--times', type=Path, metavar='FILE', help='times of KITTI poses, seconds')
+    add_file_arguments(parser)
     parser.set_defaults(run=run)
 
 
@@ -56,14 +60,14 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
     try:
         if is_bag(path):
             return _inspect_bag(path)
-        return _inspect_file(path, arguments.file_format, arguments.times)
+        return _inspect_file(path, options_of(arguments))
     except SourceError as error:
         return error
 
 
-def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> dict[str, Any]:
+def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with running_clock('reading'):
-        trajectory = FileSource(path, file_format, times, path.name).load()
+        trajectory = load_one(str(path), path.name, options)
     # No format of files names its frames.
     found = {**inspect_trajectory(trajectory, str(path), 'file').to_dict(),
              'sensor_frame': None, 'world_frame': None}
@@ -71,18 +75,18 @@ def _inspect_file(path: Path, file_format: str | None, times: Path | None) -> di
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:
-    # rosbags loads where a bag is read, and only there.
+    # What bags need loads where a bag is read, and only there.
     from trajectory_calibration.sources.bags import open_bags
-    from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
+    from trajectory_calibration.sources.cdr import TF
     with open_bags([path]) as reader, progress_bar('reading') as progress:
-        types: dict[str, set[str]] = {}
-        for channel in reader.channels:
-            types.setdefault(channel.topic, set()).add(channel.msgtype)
-        serving = [topic for topic, kinds in types.items()
-                   if len(kinds) == 1 and kinds <= set(TRAJECTORY_TYPES)]
-        tracks = reader.read(serving, progress)
-        others = [channel._asdict() for channel in reader.channels
-                  if channel.topic not in serving]
+        tree = reader.transforms()
+        names = [*reader.serving, *(f'{TF_PREFIX}{a}.{b}' for a, b in tree.pairs()[:_MOST_PAIRS])]
+        tracks = reader.read(names, progress)
+        others = [
+            {'topic': channel.topic, 'msgtype': channel.msgtype, 'messages': channel.messages,
+             **({} if channel.encoding == 'cdr' else {'encoding': channel.encoding})}
+            for channel in reader.channels
+            if channel.topic not in reader.serving and channel.msgtype != TF]
         notes = reader.notes
     # The notes stand above all topics, so not once more with one of them.
     found = [_inspect_topic(replace(track, warnings=tuple(
@@ -90,7 +94,18 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
         for track in tracks.values()]
     return {'path': str(path), 'notes': notes,
             'trajectories': [item for item in found if 'error' not in item],
-            'other': [item for item in found if 'error' in item] + others}
+            'other': [item for item in found if 'error' in item] + others,
+            **_transforms(tree)}
+
+
+def _transforms(tree: TransformTree) -> dict[str, Any]:
+    """Describe the frames of a bag and the pairs of them that can serve; nothing without any."""
+    if not tree.frames:
+        return {}
+    return {'transforms': {
+        'frames': sorted(tree.frames),
+        'edges': [f'{edge}{" (static)" if edge.static else ""}' for edge in tree.edges],
+        'pairs': [f'{TF_PREFIX}{parent}.{child}' for parent, child in tree.pairs()]}}
 
 
 def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
@@ -100,4 +115,6 @@ def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
     except SourceError as error:
         return {'topic': track.topic, 'msgtype': track.msgtype, 'messages': track.messages,
                 'error': str(error)}
-    return {**found.to_dict(), 'messages': track.messages}
+    # The transforms between two frames are some of those in a message.
+    counted = {} if track.topic.startswith(TF_PREFIX) else {'messages': track.messages}
+    return {**found.to_dict(), **counted}

@@ -39,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, calibrate and print the answer."""
-    # rosbags and the YAML library load where they are used, and only there.
+    # Readers of bags and the YAML library load where they are used, and only there.
     from trajectory_calibration.online.answer import describe
     from trajectory_calibration.online.feed import feed_track
     from trajectory_calibration.online.options import (

@@ -17,6 +17,7 @@ LEVELS = ('serious', 'warning', 'note')
 CATALOGUE: dict[str, tuple[str, str]] = {
     'association-gaps': ('warning', 'many poses of one sensor fall in gaps of the other'),
     'association-outside': ('note', 'many poses of one sensor lie outside the time of the other'),
+    'bag-damaged': ('warning', 'a bag is damaged or incomplete; what is whole was read'),
     'clock-ambiguous': ('serious', 'another clock offset fits as well; the extrinsic differs'),
     'clock-drift': ('note', 'one clock runs fast or slow; corrected'),
     'clock-offset': ('note', 'a clock offset was found and added to the stamps of b'),
@@ -25,6 +26,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'direction-unobserved': ('serious', 'the motion does not determine this direction'),
     'direction-weak': ('warning', 'this direction is determined, but badly'),
     'errors-bounded': ('warning', 'errors are correlated and bounded, as of GNSS/INS'),
+    'frame-renamed': ('note', 'a frame lost its leading slash, which tf2 refuses'),
     'frames-equal': ('warning', 'both sensors have the same frame name'),
     'half-turns': ('note', 'motions near half a turn were excluded, or kept as published'),
     'input-read-as': ('note', 'how an input was read, where it does not say so itself'),

@@ -67,6 +67,13 @@ class Trajectory:
                 f'poses have the shape {poses.shape}, needed ({len(stamps_ns)}, 4, 4) to match '
                 f'{len(stamps_ns)} stamps; pass one homogeneous matrix per stamp')
         notes += _repair_rotations(poses)
+        self._settle(stamps_ns, poses, stamp_order, notes)
+
+    def _settle(
+        self, stamps_ns: NDArray[np.int64], poses: FloatArray,
+        stamp_order: NDArray[np.intp] | None, notes: list[str],
+    ) -> None:
+        """Keep stamps and poses that have been checked, in the order of time."""
         if stamp_order is not None:
             stamps_ns, poses = stamps_ns[stamp_order], poses[stamp_order]
         if len(stamps_ns) < 2:
@@ -110,9 +117,19 @@ class Trajectory:
         note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
         if note:
             findings = (*findings, Finding('input-repaired', f'{sensor_frame}: {note}'))
+        _require_near(p)
+        stamps, stamp_order, notes = _checked_stamps(stamps_ns)
+        if len(stamps) != len(p):
+            raise TrajectoryError(f'{len(stamps)} stamps and {len(p)} positions; needed one stamp '
+                                  'per position')
+        # Unit quaternions give rotations: nothing is left to check or to repair.
         R = se3.quaternion_to_rotation(q / norm[:, None])
-        return cls(_stamp_array(stamps_ns), se3.from_rotation_translation(R, p),
-                   world_frame, sensor_frame, findings)
+        result = object.__new__(cls)
+        for name, value in (('world_frame', world_frame), ('sensor_frame', sensor_frame),
+                            ('findings', findings)):
+            object.__setattr__(result, name, value)
+        result._settle(stamps, se3.from_rotation_translation(R, p), stamp_order, notes)
+        return result
 
     @classmethod
     def from_arrays(
@@ -282,13 +299,7 @@ def _checked_stamps(
 def _repair_rotations(poses: FloatArray) -> list[str]:
     """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
     _require_finite(poses.reshape(len(poses), 16))
-    far = np.abs(poses[:, :3, 3]).max(axis=1, initial=0.0)
-    if far.max(initial=0.0) > MAX_POSITION:
-        k = int(np.argmax(far > MAX_POSITION))
-        raise TrajectoryError(
-            f'pose {k} lies {far[k]:.3g} m from the origin along an axis, needed at most '
-            f'{MAX_POSITION:.0e} m; remove what the SLAM wrote while it was lost, or is the unit '
-            'metres?')
+    _require_near(poses[:, :3, 3])
     if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
         raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
     R = poses[:, :3, :3]
@@ -301,6 +312,16 @@ def _repair_rotations(poses: FloatArray) -> list[str]:
         poses[:, :3, :3] = se3.nearest_rotation(R)
     poses[:, 3] = [0, 0, 0, 1]
     return [note] if note else []
+
+
+def _require_near(positions: FloatArray) -> None:
+    far = np.abs(positions).max(axis=1, initial=0.0)
+    if far.max(initial=0.0) > MAX_POSITION:
+        k = int(np.argmax(far > MAX_POSITION))
+        raise TrajectoryError(
+            f'pose {k} lies {far[k]:.3g} m from the origin along an axis, needed at most '
+            f'{MAX_POSITION:.0e} m; remove what the SLAM wrote while it was lost, or is the unit '
+            'metres?')
 
 
 def _require_finite(rows: FloatArray) -> None:

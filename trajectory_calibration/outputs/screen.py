@@ -196,6 +196,14 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
             'turned about': f'{_named(item["turned_deg"], "xyz", 2)} deg rms in 2 s',
             'motion': f'{item["motion"]}: {item["advice"]}',
         })
+    if 'transforms' in found:
+        transforms = found['transforms']
+        lines += ['', 'Transforms']
+        lines += terminal.aligned({
+            'frames': ', '.join(transforms['frames']),
+            'edges': ', '.join(transforms['edges']),
+            'can serve': ', '.join(transforms['pairs']) or 'none: nothing moves',
+        })
     if found['other']:
         lines += ['', 'Topics that cannot serve']
         lines += terminal.aligned({

@@ -32,12 +32,14 @@ from trajectory_calibration.sources.cdr import (
     POSE,
     POSE_WITH_COVARIANCE,
     StampedPose,
+    TRANSFORM,
 )
 
 MESSAGE_TYPES = {
     ODOMETRY: Odometry,
     POSE: PoseStamped,
     POSE_WITH_COVARIANCE: PoseWithCovarianceStamped,
+    TRANSFORM: TransformStamped,
     PATH: Path,
 }
 
@@ -53,7 +55,11 @@ class RosDeserialiser:
         value = _read(message, msgtype)
         if value is None:
             return None
-        child = value.child_frame_id if msgtype == ODOMETRY else ''
+        child = value.child_frame_id if msgtype in (ODOMETRY, TRANSFORM) else ''
+        if msgtype == TRANSFORM:
+            t, q = value.transform.translation, value.transform.rotation
+            return StampedPose(_stamp_ns(value.header.stamp), (value.header.frame_id, child),
+                               (t.x, t.y, t.z, q.x, q.y, q.z, q.w))
         pose = value.pose if msgtype == POSE else value.pose.pose
         return StampedPose(
             stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))

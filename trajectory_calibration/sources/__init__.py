@@ -1,7 +1,7 @@
 """Where trajectories come from: files and bags here; live buffers in ``ros``.
 
 ``FileSource('a.tum').load()`` and ``BagSource(['drive.mcap'], '/odometry').load()`` return a
-``Trajectory``. Only the second needs the package ``rosbags``, which loads with it.
+``Trajectory``; ``load_inputs`` takes either, and pairs of frames of TF.
 """
 
 from typing import Any, TYPE_CHECKING

@@ -1,47 +1,43 @@
 """Trajectories in bags: rosbag2 (sqlite3, mcap, compressed or not) and ROS 1.
 
-Needs the package ``rosbags``, which loads here and nowhere else. Of a damaged bag, what can be
-read is used, with a warning that says how much is missing.
+Of a damaged bag, what is whole is used, with a note that says how much is missing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import pip_name, SourceError, TopicError
-from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
-
-try:
-    from trajectory_calibration.sources.recovery import RecoveredMcap, RecoveredSqlite
-    from trajectory_calibration.sources.storage import (
-        Bag,
-        Channel,
-        DAMAGE,
-        describe_damage,
-        find_bag,
-        is_ros1,
-        Message,
-        RosbagsStorage,
-        Storage,
-    )
-    from trajectory_calibration.sources.topics import join_tracks, TopicCollector, TopicTrack
-except ModuleNotFoundError as error:
-    # A machine with ROS from apt has no rosbags, and needs it for nothing else.
-    raise SourceError(
-        f'bags need the Python package {pip_name(error)}, which is not installed; install it '
-        'with: pip install rosbags') from error
+from trajectory_calibration.errors import SourceError, TopicError
+from trajectory_calibration.sources.cdr import TF, TRAJECTORY_TYPES
+from trajectory_calibration.sources.storage import (
+    Bag,
+    Channel,
+    describe_damage,
+    find_bag,
+    open_storage,
+    Storage,
+    unpacked,
+)
+from trajectory_calibration.sources.topics import (
+    join_tracks,
+    TopicCollector,
+    TopicTrack,
+    transform_track,
+    transform_tree,
+    TransformCollector,
+)
+from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
 
-_RECOVERY: dict[str, Callable[[Path], Storage]] = {
-    '.mcap': RecoveredMcap, '.db3': RecoveredSqlite}
-_PROGRESS_EVERY = 8192
+_READABLE = ('cdr', 'ros1')
 
 
 @dataclass(frozen=True)
@@ -51,7 +47,8 @@ class BagSource:
     Attributes
     ----------
     bags : bag folders or files, of ROS 1, of ROS 2, or some of each.
-    topic : of type Odometry, PoseStamped, PoseWithCovarianceStamped or Path.
+    topic : of type Odometry, PoseStamped, PoseWithCovarianceStamped, TransformStamped or Path;
+        or ``tf:PARENT.CHILD``, the pose of a frame in another by the transforms of the bag.
     sensor_frame, world_frame : names that override those of the messages.
 
     """
@@ -110,21 +107,32 @@ class BagReader:
             raise SourceError(
                 f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
                 'was recorded, or record anew')
-        counts: dict[tuple[str, str], int] = {}
+        counts: dict[tuple[str, str, str], int] = {}
         for bag in bags:
-            for topic, msgtype, messages in bag.channels():
-                counts[topic, msgtype] = counts.get((topic, msgtype), 0) + messages
-        self.channels = [Channel(*key, counts[key]) for key in sorted(counts)]
+            for channel in bag.channels():
+                key = channel.topic, channel.msgtype, channel.encoding
+                counts[key] = counts.get(key, 0) + channel.messages
+        self.channels = [Channel(topic, msgtype, counts[topic, msgtype, encoding], encoding)
+                         for topic, msgtype, encoding in sorted(counts)]
 
     @property
     def notes(self) -> list[str]:
         """Return what is wrong with the bags as a whole, as far as they have been read."""
         return [note for bag in self._bags for note in bag.notes()]
 
+    @property
+    def serving(self) -> list[str]:
+        """Return the topics that can serve as a trajectory."""
+        types: dict[str, set[tuple[bool, str]]] = {}
+        for channel in self.channels:
+            can = channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE
+            types.setdefault(channel.topic, set()).add((can, channel.msgtype))
+        return [topic for topic, found in types.items() if len(found) == 1 and min(found)[0]]
+
     def read(
-        self, topics: Sequence[str], progress: Progress | None = None,
+        self, names: Sequence[str], progress: Progress | None = None,
     ) -> dict[str, TopicTrack]:
-        """Read some topics in one pass; the first track carries the notes on the bags.
+        """Read topics and ``tf:PARENT.CHILD`` in one pass; the first carries the notes on bags.
 
         Raises
         ------
@@ -132,40 +140,97 @@ class BagReader:
             No such topic, or it cannot serve; the message lists those that can.
 
         """
-        types = {topic: self._serving_type(topic) for topic in topics}
-        total = sum(channel.messages for channel in self.channels if channel.topic in types)
+        chains = [name for name in names if name.startswith(TF_PREFIX)]
+        topics = {name: self._topic(name) for name in names if name not in chains}
+        types = {topic: self._serving_type(topic) for topic in topics.values()}
+        for bag in self._bags:
+            bag.found.clear()
+        transforms = self._transform_topics(required=True) if chains else []
+        parts, tf = self._gather(types, transforms, progress)
+        result = {}
+        for name in names:
+            wanted = transforms if name in chains else [topics[name]]
+            warnings = [note for topic in wanted for note in self._missing(topic)]
+            if name == names[0]:
+                warnings[:0] = self.notes
+            if name in chains:
+                track = transform_track(name, transform_tree(tf), tf)
+            else:
+                topic = topics[name]
+                track = join_tracks(topic, types[topic], parts[topic])
+            result[name] = replace(track, warnings=tuple(warnings))
+        return result
+
+    def transforms(self, progress: Progress | None = None) -> TransformTree:
+        """Return all transforms of the bags; none where they hold no such topic."""
+        _, tf = self._gather({}, self._transform_topics(required=False), progress)
+        return transform_tree(tf)
+
+    def _gather(
+        self, types: dict[str, str], transforms: list[str], progress: Progress | None,
+    ) -> tuple[dict[str, list[TopicTrack]], list[TransformCollector]]:
+        """Read all bags once."""
+        wanted = {**types, **dict.fromkeys(transforms, TF)}
+        total = sum(channel.messages for channel in self.channels if channel.topic in wanted)
         meter = _Meter(progress, total)
         parts: dict[str, list[TopicTrack]] = {topic: [] for topic in types}
-        warnings: dict[str, list[str]] = {topic: [] for topic in types}
+        tf: list[TransformCollector] = []
         for bag in self._bags:
-            tracks = bag.read(types, meter)
-            for topic in types:
-                found = [track[topic] for track in tracks if topic in track]
-                parts[topic] += found
-                warnings[topic] += bag.missing(
-                    topic, sum(track.messages for track in found))
-        for topic in list(types)[:1]:
-            warnings[topic][:0] = self.notes
-        return {
-            topic: join_tracks(topic, msgtype, parts[topic], tuple(warnings[topic]))
-            for topic, msgtype in types.items()}
+            for item in bag.files:
+                for topic, collector in item.read(wanted, meter).items():
+                    if isinstance(collector, TransformCollector):
+                        tf.append(collector)
+                    else:
+                        parts[topic].append(collector.track())
+                    bag.found[topic] = bag.found.get(topic, 0) + collector.count
+        return parts, [collector for collector in tf if collector.count]
+
+    def _missing(self, topic: str) -> list[str]:
+        return [note for bag in self._bags for note in bag.missing(topic)]
+
+    def _topic(self, name: str) -> str:
+        """Return the name of a topic that was given with or without its leading slash."""
+        topics = {channel.topic for channel in self.channels}
+        other = name.removeprefix('/') if name.startswith('/') else f'/{name}'
+        return other if name not in topics and other in topics else name
 
     def _serving_type(self, topic: str) -> str:
-        types = [channel.msgtype for channel in self.channels if channel.topic == topic]
-        if len(types) == 1 and types[0] in TRAJECTORY_TYPES:
-            return types[0]
-        if not types:
+        channels = [channel for channel in self.channels if channel.topic == topic]
+        types = [channel.msgtype for channel in channels]
+        if len(set(types)) == 1 and types[0] in TRAJECTORY_TYPES:
+            encodings = {channel.encoding for channel in channels}
+            if encodings <= set(_READABLE):
+                return types[0]
+            found = (f'topic {topic} is written as {", ".join(sorted(encodings))}, and only '
+                     f'{" and ".join(_READABLE)} can be read')
+        elif not types:
             found = f'no topic {topic}'
-        elif len(types) > 1:
+        elif len(set(types)) > 1:
             found = f'topic {topic} has several types ({", ".join(types)})'
+        elif types[0] == TF:
+            found = f'topic {topic} holds transforms; name a pair of frames, tf:PARENT.CHILD'
         else:
             found = f'topic {topic} is {types[0]}, which cannot serve as a trajectory'
-        serving = ', '.join(
+        raise self._topic_error(found)
+
+    def _transform_topics(self, *, required: bool) -> list[str]:
+        found = [channel.topic for channel in self.channels
+                 if channel.msgtype == TF and channel.encoding in _READABLE]
+        if required and not found:
+            raise self._topic_error('no topic of transforms (/tf)')
+        return list(dict.fromkeys(found))
+
+    def _topic_error(self, found: str) -> TopicError:
+        serving = [
             f'{channel.topic} ({channel.msgtype.split("/")[-1]}, {channel.messages} messages)'
-            for channel in self.channels if channel.msgtype in TRAJECTORY_TYPES)
+            for channel in self.channels
+            if channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE]
+        if self._transform_topics(required=False):
+            serving.append('tf:PARENT.CHILD (inspect lists the frames)')
         names = ', '.join(str(item.bag.path) for item in self._bags)
         notes = f'; {"; ".join(self.notes)}' if self.notes else ''
-        raise TopicError(f'{names}: {found}; topics that can serve: {serving or "none"}{notes}')
+        return TopicError(f'{names}: {found}; topics that can serve: '
+                          f'{", ".join(serving) or "none"}{notes}')
 
 
 @dataclass
@@ -175,68 +240,83 @@ class _OpenFile:
     path: Path
     storage: Storage | None = None
     damage: str = ''
-    recovered: bool = False
+    folder: TemporaryDirectory[str] | None = None
+
+    def open(self, *, count: bool) -> None:
+        try:
+            self.storage, self.folder = open_storage(self.path, count=count)
+            self.damage = self.storage.damage
+        except SourceError as error:
+            raise SourceError(f'{self.path}: {error}') from error
+        except Exception as error:  # noqa: BLE001
+            # The border to damaged files: sqlite3, struct, mmap and the decompressors raise 17
+            # kinds of errors there, and none means more than that the file cannot be opened.
+            self.damage = describe_damage(error)
+
+    def close(self) -> None:
+        if self.storage is not None:
+            self.storage.close()
+        if self.folder is not None:
+            self.folder.cleanup()
+
+    def read(
+        self, types: dict[str, str], meter: _Meter,
+    ) -> dict[str, TopicCollector | TransformCollector]:
+        """Return what the file holds of some topics."""
+        if self.storage is None:
+            return {}
+        collectors: dict[str, TopicCollector | TransformCollector] = {
+            topic: TransformCollector(topic) if msgtype == TF else TopicCollector(topic, msgtype)
+            for topic, msgtype in types.items()}
+        for batch in self.storage.messages(types.keys()):
+            if batch.channel.msgtype == types[batch.channel.topic]:
+                collectors[batch.channel.topic].add(unpacked(batch))
+                meter.step(len(batch.messages))
+        self.damage = self.storage.damage
+        return collectors
 
 
 @dataclass
 class _OpenBag:
-    """A bag, and how each of its files fared."""
+    """A bag, how each of its files fared, and how many messages of each topic were found."""
 
     bag: Bag
     files: list[_OpenFile] = field(default_factory=list)
+    found: dict[str, int] = field(default_factory=dict)
 
     def open(self) -> None:
         for path in self.bag.files:
             item = _OpenFile(path)
             self.files.append(item)
-            try:
-                item.storage = RosbagsStorage(path)
-            except DAMAGE as error:
-                item.damage = describe_damage(error)
-                item.storage = _recover(path)
-                item.recovered = True
+            item.open(count=not self.bag.declared)
 
     def close(self) -> None:
         for item in self.files:
-            if item.storage is not None:
-                item.storage.close()
+            item.close()
 
     def channels(self) -> list[Channel]:
-        return [channel for item in self.files if item.storage is not None
-                for channel in item.storage.channels]
+        found = [channel for item in self.files if item.storage is not None
+                 for channel in item.storage.channels]
+        declared = dict(self.bag.declared)
+        return [channel._replace(messages=declared.pop(channel.topic, 0))
+                for channel in found] if declared else found
 
     def notes(self) -> list[str]:
         return [f'{self.bag.path}: {note}' for note in self.bag.notes] + [
-            f'{item.path} is damaged ({item.damage})' for item in self.files if item.damage]
+            f'{item.path} is damaged: {item.damage}' for item in self.files if item.damage]
 
-    def read(self, types: dict[str, str], meter: _Meter) -> list[dict[str, TopicTrack]]:
-        """Return the tracks of each file."""
-        result = []
-        for item in self.files:
-            if item.storage is None:
-                continue
-            tracks, damage = _read_storage(item.storage, types, item.path, meter)
-            declared = sum(
-                channel.messages for channel in item.storage.channels if channel.topic in types)
-            if (damage or _messages(tracks) < declared) and not item.recovered:
-                item.damage = damage or 'fewer messages than its index declares'
-                other = _recover(item.path)
-                if other is not None:
-                    recovered, _ = _read_storage(other, types, item.path, meter)
-                    other.close()
-                    tracks = max(tracks, recovered, key=_messages)
-            result.append(tracks)
-        return result
-
-    def missing(self, topic: str, read: int) -> list[str]:
-        """Say how many messages of a topic were not read, after ``read``."""
+    def missing(self, topic: str) -> list[str]:
+        """Say how many messages of a topic were not read."""
+        read = self.found.get(topic, 0)
         expected = max(
             self.bag.declared.get(topic, 0),
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
         found = f'{self.bag.path}: read {read}'
         if expected > read:
             return [f'{found} of {expected} messages, {expected - read} are missing']
-        if any(item.damage for item in self.files) and topic not in self.bag.declared:
+        known = topic in self.bag.declared or all(
+            item.storage is not None and item.storage.counted for item in self.files)
+        if any(item.damage for item in self.files) and not known:
             return [f'{found} messages; how many are missing is not known']
         return []
 
@@ -247,49 +327,7 @@ class _Meter:
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._total, self._count = progress, total, 0
 
-    def step(self) -> None:
-        self._count += 1
-        if self._progress is not None and self._count % _PROGRESS_EVERY == 0:
+    def step(self, count: int) -> None:
+        self._count += count
+        if self._progress is not None:
             self._progress(min(self._count, self._total), self._total)
-
-
-def _read_storage(
-    storage: Storage, types: dict[str, str], path: Path, meter: _Meter,
-) -> tuple[dict[str, TopicTrack], str]:
-    """Return the tracks of a file up to its end or its damage, and the damage."""
-    ros1 = is_ros1(path)
-    collectors = {
-        topic: TopicCollector(topic, msgtype, ros1=ros1) for topic, msgtype in types.items()}
-    damage: list[str] = []
-    for topic, msgtype, received_ns, data in _whole(storage.messages(types.keys()), damage):
-        if msgtype == types[topic]:
-            collectors[topic].add(data, received_ns)
-            meter.step()
-    tracks = {topic: collector.track() for topic, collector in collectors.items()}
-    return tracks, ''.join(damage)
-
-
-def _whole(messages: Iterator[Message], damage: list[str]) -> Iterator[Message]:
-    """Yield messages up to the damage and note it; errors of whoever takes them pass by."""
-    try:
-        yield from messages
-    except DAMAGE as error:
-        damage.append(describe_damage(error))
-
-
-def _recover(path: Path) -> Storage | None:
-    """Open a damaged file with the reader that trusts nothing, if it finds any message."""
-    if path.suffix not in _RECOVERY:
-        return None
-    try:
-        storage = _RECOVERY[path.suffix](path)
-    except DAMAGE:
-        return None
-    if storage.channels:
-        return storage
-    storage.close()
-    return None
-
-
-def _messages(tracks: dict[str, TopicTrack]) -> int:
-    return sum(track.messages for track in tracks.values())

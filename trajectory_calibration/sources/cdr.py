@@ -1,14 +1,17 @@
-"""Poses straight out of serialized ROS 2 messages, without building message objects.
+"""Poses straight out of serialized messages, without building message objects.
 
 What DDS sends and bags hold is CDR: a header of four bytes (byte 1 is 1 where little endian),
 then the fields, each aligned to its size counted from byte 4::
 
     4   int32 sec, uint32 nanosec              header.stamp
     12  uint32 length with NUL, characters     header.frame_id
-        [align 4: the same]                    child_frame_id, of Odometry only
+        [align 4: the same]                    child_frame_id, of Odometry and TransformStamped
         align 8: 7 float64                     x y z qx qy qz qw
         [36 float64 covariance]                all but PoseStamped
         [6 + 36 float64 twist]                 of Odometry only
+
+ROS 1 has a counter in place of the four bytes, no alignment, and no NUL. A TFMessage is the
+number of its transforms and the transforms, each like a TransformStamped.
 
 Messages of one length and one pair of frames have the pose at one place: a block of them is an
 array, which NumPy views without a loop. Everything is checked against the length of the
@@ -30,12 +33,15 @@ from trajectory_calibration.geometry.se3 import FloatArray
 ODOMETRY = 'nav_msgs/msg/Odometry'
 POSE = 'geometry_msgs/msg/PoseStamped'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
+TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 PATH = 'nav_msgs/msg/Path'
+TF = 'tf2_msgs/msg/TFMessage'
 
 # Numbers from the start of the pose to the end of the message.
-_DOUBLES = {ODOMETRY: 7 + 36 + 6 + 36, POSE: 7, POSE_WITH_COVARIANCE: 7 + 36}
+DOUBLES = {ODOMETRY: 7 + 36 + 6 + 36, POSE: 7, POSE_WITH_COVARIANCE: 7 + 36, TRANSFORM: 7}
+_WITH_CHILD = (ODOMETRY, TRANSFORM)
 
-POSE_TYPES = tuple(_DOUBLES)
+POSE_TYPES = tuple(DOUBLES)
 TRAJECTORY_TYPES = (*POSE_TYPES, PATH)
 
 _POSE_BYTES = 56
@@ -43,6 +49,10 @@ _POSE_BYTES = 56
 _MAX_PADDING = 3
 # Different frame ids in one block beyond which the general deserialiser takes the rest.
 _MAX_FRAMES = 8
+
+
+# header.frame_id and child_frame_id.
+TwoFrames = tuple[str, str]
 
 
 class StampedPose(NamedTuple):
@@ -57,7 +67,7 @@ class StampedPose(NamedTuple):
     """
 
     stamp_ns: int
-    frames: tuple[str, str]
+    frames: TwoFrames
     pose: tuple[float, ...]
 
 
@@ -89,10 +99,20 @@ class PathPoses(NamedTuple):
     poses: FloatArray
 
 
-class _Layout(NamedTuple):
-    """Where the pose of a message begins, and which bytes decide that."""
+class TransformRun(NamedTuple):
+    """Transforms between two frames: in which messages, (N,) stamps, (N, 7) poses as above."""
 
-    frames: tuple[str, str]
+    frames: TwoFrames
+    messages: NDArray[np.intp]
+    stamps_ns: NDArray[np.int64]
+    poses: FloatArray
+
+
+class _Layout(NamedTuple):
+    """Where stamp and pose of a message begin, and which bytes decide that."""
+
+    frames: TwoFrames
+    stamp_offset: int
     pose_offset: int
     deciding: list[slice]
 
@@ -110,15 +130,42 @@ def parse_pose(message: bytes, msgtype: str) -> StampedPose | None:
     return StampedPose(sec * 1_000_000_000 + nanosec, layout.frames, pose)
 
 
-def parse_poses(messages: Sequence[bytes], msgtype: str) -> PoseBlock:
+def parse_poses(messages: Sequence[bytes], msgtype: str, *, ros1: bool = False) -> PoseBlock:
     """Return the poses of many serialized messages of one of ``POSE_TYPES``."""
     count = len(messages)
     block = PoseBlock(
         np.zeros(count, dtype=np.int64), np.zeros((count, 7)), np.full(count, -1), [])
     lengths = np.fromiter(map(len, messages), dtype=np.intp, count=count)
     for length in np.unique(lengths):
-        _parse_equal_lengths(messages, np.flatnonzero(lengths == length), msgtype, block)
+        _parse_equal_lengths(
+            messages, np.flatnonzero(lengths == length), msgtype, block, ros1=ros1)
     return block
+
+
+def parse_transforms(messages: Sequence[bytes]) -> tuple[list[TransformRun], list[int]]:
+    """Return the transforms of many TFMessages, and which messages were not understood."""
+    runs, left = [], []
+    lengths = np.fromiter(map(len, messages), dtype=np.intp, count=len(messages))
+    for length in np.unique(lengths):
+        indices = np.flatnonzero(lengths == length)
+        rows = _rows(messages, indices)
+        for _ in range(_MAX_FRAMES):
+            if not len(indices):
+                break
+            layouts = _transform_layouts(messages[indices[0]])
+            if layouts is None:
+                left.append(int(indices[0]))
+                indices, rows = indices[1:], rows[1:]
+                continue
+            same = _same(rows, [part for layout in layouts for part in layout.deciding])
+            runs += [TransformRun(
+                layout.frames, indices[same],
+                _stamps_ns(rows[same, layout.stamp_offset:layout.stamp_offset + 8]),
+                _doubles(rows[same, layout.pose_offset:layout.pose_offset + _POSE_BYTES]))
+                for layout in layouts]
+            indices, rows = indices[~same], rows[~same]
+        left += indices.tolist()
+    return runs, left
 
 
 def parse_path(message: bytes) -> PathPoses | None:
@@ -156,21 +203,19 @@ def parse_path(message: bytes) -> PathPoses | None:
 
 
 def _parse_equal_lengths(
-    messages: Sequence[bytes], indices: NDArray[np.intp], msgtype: str, block: PoseBlock,
+    messages: Sequence[bytes], indices: NDArray[np.intp], msgtype: str, block: PoseBlock, *,
+    ros1: bool,
 ) -> None:
     """Fill ``block`` at ``indices``, whose messages have the same length."""
-    rows = np.frombuffer(
-        b''.join([messages[k] for k in indices.tolist()]), dtype=np.uint8,
-    ).reshape(len(indices), -1)
+    rows = _rows(messages, indices)
     for _ in range(_MAX_FRAMES):
         if not len(indices):
             return
-        layout = _layout(messages[indices[0]], msgtype)
+        layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
         if layout is None:
             indices, rows = indices[1:], rows[1:]
             continue
-        deciding = np.r_[tuple(layout.deciding)]
-        same = (rows[:, deciding] == rows[0, deciding]).all(axis=1)
+        same = _same(rows, layout.deciding)
         chosen, offset = indices[same], layout.pose_offset
         block.stamps_ns[chosen] = _stamps_ns(rows[same, 4:12])
         block.poses[chosen] = _doubles(rows[same, offset:offset + _POSE_BYTES])
@@ -180,24 +225,62 @@ def _parse_equal_lengths(
         indices, rows = indices[~same], rows[~same]
 
 
-def _layout(message: bytes, msgtype: str) -> _Layout | None:
-    if not _is_little_endian(message):
+def _rows(messages: Sequence[bytes], indices: NDArray[np.intp]) -> NDArray[np.uint8]:
+    """Return (N, L) bytes of some messages of equal length."""
+    return np.frombuffer(
+        b''.join([messages[k] for k in indices.tolist()]), dtype=np.uint8,
+    ).reshape(len(indices), -1)
+
+
+def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool_]:
+    """Tell which rows agree with the first one where it matters."""
+    # A slice at a time: frames are short, and a block fits the cache.
+    same: NDArray[np.bool_] = np.ones(len(rows), dtype=bool)
+    for part in deciding:
+        same &= (rows[:, part] == rows[0, part]).all(axis=1)
+    return same
+
+
+def _layout(message: bytes, msgtype: str, *, ros1: bool = False) -> _Layout | None:
+    if not ros1 and not _is_little_endian(message):
         return None
-    header = _string(message, 12)
+    header = _string(message, 12, ros1=ros1)
     if header is None:
         return None
     strings = [header]
-    if msgtype == ODOMETRY:
-        child = _string(message, _align(header.end, 4))
+    if msgtype in _WITH_CHILD:
+        child = _string(message, _align(header.end, 4, ros1=ros1), ros1=ros1)
         if child is None:
             return None
         strings.append(child)
-    offset = _align(strings[-1].end, 8)
-    if not 0 <= len(message) - (offset + 8 * _DOUBLES[msgtype]) <= _MAX_PADDING:
+    offset = _align(strings[-1].end, 8, ros1=ros1)
+    padding = len(message) - (offset + 8 * DOUBLES[msgtype])
+    if padding and (ros1 or not 0 < padding <= _MAX_PADDING):
         return None
+    encapsulation = [] if ros1 else [slice(0, 2)]
     return _Layout(
-        (header.text, strings[1].text if len(strings) > 1 else ''),
-        offset, [slice(0, 2), *(slice(item.start, item.end) for item in strings)])
+        (header.text, strings[1].text if len(strings) > 1 else ''), 4, offset,
+        [*encapsulation, *(slice(item.start, item.end) for item in strings)])
+
+
+def _transform_layouts(message: bytes) -> list[_Layout] | None:
+    """Return where each transform of a TFMessage is, None where that is not plain CDR."""
+    if not _is_little_endian(message):
+        return None
+    layouts = []
+    count, offset = int.from_bytes(message[4:8], 'little'), 8
+    for _ in range(min(count, len(message))):
+        start = _align(offset, 4)
+        header = _string(message, start + 8)
+        child = None if header is None else _string(message, _align(header.end, 4))
+        if header is None or child is None:
+            return None
+        offset = _align(child.end, 8) + _POSE_BYTES
+        layouts.append(_Layout(
+            (header.text, child.text), start, offset - _POSE_BYTES,
+            [slice(0, 2), slice(4, 8), slice(header.start, header.end),
+             slice(child.start, child.end)]))
+    return layouts if 0 <= len(message) - offset <= _MAX_PADDING else None
 
 
 class _String(NamedTuple):
@@ -208,13 +291,14 @@ class _String(NamedTuple):
     end: int
 
 
-def _string(message: bytes, start: int) -> _String | None:
+def _string(message: bytes, start: int, *, ros1: bool = False) -> _String | None:
     end = start + 4 + int.from_bytes(message[start:start + 4], 'little')
-    # The characters end with one NUL, which the length counts.
-    if not start + 4 < end <= len(message) or message[end - 1] != 0:
+    # In CDR, the characters end with one NUL, which the length counts.
+    terminated = ros1 or (end > start + 4 and message[end - 1:end] == b'\0')
+    if not start + 4 <= end <= len(message) or not terminated:
         return None
     try:
-        return _String(message[start + 4:end - 1].decode(), start, end)
+        return _String(message[start + 4:end - (not ros1)].decode(), start, end)
     except UnicodeDecodeError:
         return None
 
@@ -223,7 +307,9 @@ def _is_little_endian(message: bytes) -> bool:
     return message[:2] == b'\x00\x01'
 
 
-def _align(offset: int, size: int) -> int:
+def _align(offset: int, size: int, *, ros1: bool = False) -> int:
+    if ros1:
+        return offset
     return -(-(offset - 4) // size) * size + 4
 
 

@@ -1,62 +1,122 @@
 """Poses out of serialized messages of any kind, one at a time: the slow and general way.
 
-For what ``cdr`` leaves: ROS 1, big endian, unusual layouts.
+For what ``cdr`` leaves: big endian, unusual layouts, blocks of many frames. A message is read
+field by field; one that is shorter or longer than its fields is none.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import Any
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import get_typestore, Stores, TypesysError
 
-from trajectory_calibration.sources.cdr import ODOMETRY, PATH, PathPoses, POSE, StampedPose
+from trajectory_calibration.sources.cdr import (
+    DOUBLES,
+    ODOMETRY,
+    PathPoses,
+    StampedPose,
+    TRANSFORM,
+    TwoFrames,
+)
 
-_FAILURES = (SerdeError, TypesysError, struct.error, AssertionError, LookupError, MemoryError,
-             OverflowError, TypeError, ValueError)
+# Bytes that a writer may append to a message to fill a word.
+_MAX_PADDING = 3
+# A pose is no shorter: what declares more elements than fit is damaged.
+_SHORTEST_POSE = 60
 
 
 class Deserialiser:
-    """Reads the messages of one bag, ROS 1 or ROS 2."""
+    """Reads messages of ROS 1 or ROS 2."""
 
     def __init__(self, *, ros1: bool) -> None:
-        # The types that can serve have not changed since ROS 2 began, nor in ROS 1.
-        store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-        self._deserialise = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+        self._ros1 = ros1
 
     def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
         """Return the pose of a message, or None where it is damaged."""
-        value = self._read(message, msgtype)
-        if value is None:
+        try:
+            fields = _Fields(message, ros1=self._ros1)
+            sample = fields.pose(child=msgtype in (ODOMETRY, TRANSFORM))
+            fields.doubles(DOUBLES[msgtype] - 7)
+        except (struct.error, ValueError):
             return None
-        pose = value.pose if msgtype == POSE else value.pose.pose
-        child = value.child_frame_id if msgtype == ODOMETRY else ''
-        return StampedPose(
-            _stamp_ns(value.header), (value.header.frame_id, child), _numbers(pose))
+        return sample if fields.ended else None
 
     def path(self, message: bytes) -> PathPoses | None:
         """Return the poses of a Path, or None where it is damaged."""
-        value = self._read(message, PATH)
-        if value is None:
+        try:
+            fields = _Fields(message, ros1=self._ros1)
+            frame = fields.header()[1]
+            poses = [fields.pose(child=False) for _ in range(fields.count())]
+        except (struct.error, ValueError):
+            return None
+        if not fields.ended:
             return None
         return PathPoses(
-            value.header.frame_id,
-            np.array([_stamp_ns(item.header) for item in value.poses], dtype=np.int64),
-            np.array([_numbers(item.pose) for item in value.poses]).reshape(-1, 7))
+            frame, np.array([pose.stamp_ns for pose in poses], dtype=np.int64),
+            np.array([pose.pose for pose in poses]).reshape(-1, 7))
 
-    def _read(self, message: bytes, msgtype: str) -> Any:
+    def transforms(self, message: bytes) -> list[StampedPose] | None:
+        """Return the transforms of a TFMessage, or None where it is damaged."""
         try:
-            return self._deserialise(message, msgtype)
-        except _FAILURES:
+            fields = _Fields(message, ros1=self._ros1)
+            found = [fields.pose(child=True) for _ in range(fields.count())]
+        except (struct.error, ValueError):
             return None
+        return found if fields.ended else None
 
 
-def _stamp_ns(header: Any) -> int:
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+class _Fields:
+    """A message that is read from its beginning to its end; raises where it ends too soon."""
 
+    def __init__(self, message: bytes, *, ros1: bool) -> None:
+        self._message, self._ros1 = message, ros1
+        self._offset = 0 if ros1 else 4
+        if not ros1 and message[:2] not in (b'\x00\x00', b'\x00\x01'):
+            raise ValueError('not plain CDR')
+        self._order = '<' if ros1 or message[1] else '>'
 
-def _numbers(pose: Any) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+    @property
+    def ended(self) -> bool:
+        """Whether nothing is left but padding."""
+        rest = len(self._message) - self._offset
+        return rest == 0 if self._ros1 else 0 <= rest <= _MAX_PADDING
+
+    def pose(self, *, child: bool) -> StampedPose:
+        stamp_ns, frame = self.header()
+        frames: TwoFrames = (frame, self.text() if child else '')
+        return StampedPose(stamp_ns, frames, self.doubles(7))
+
+    def header(self) -> tuple[int, str]:
+        """Return stamp and frame."""
+        sec, nanosec = self._unpack('4xII' if self._ros1 else 'iI', 4)
+        return int(sec) * 1_000_000_000 + int(nanosec), self.text()
+
+    def text(self) -> str:
+        length = int(self._unpack('I', 4)[0])
+        start, self._offset = self._offset, self._offset + length
+        data = self._message[start:self._offset]
+        if len(data) != length:
+            raise ValueError('cut off')
+        if self._ros1:
+            return data.decode()
+        if not data.endswith(b'\0'):
+            raise ValueError('a string without an end')
+        return data[:-1].decode()
+
+    def count(self) -> int:
+        """Return the length of a sequence of poses."""
+        (count,) = self._unpack('I', 4)
+        if count * _SHORTEST_POSE > len(self._message):
+            raise ValueError('more than fit')
+        return int(count)
+
+    def doubles(self, count: int) -> tuple[float, ...]:
+        # Alignment of nothing is none.
+        return self._unpack(f'{count}d', 8) if count else ()
+
+    def _unpack(self, layout: str, alignment: int) -> tuple[float, ...]:
+        if not self._ros1:
+            self._offset = -(-(self._offset - 4) // alignment) * alignment + 4
+        values = struct.unpack_from(self._order + layout, self._message, self._offset)
+        self._offset += struct.calcsize(self._order + layout)
+        return values

@@ -1,4 +1,4 @@
-"""The files of a bag, and serialized messages out of them, through ``rosbags``."""
+"""The files of a bag: where they lie, what metadata.yaml says of them, and who reads them."""
 
 from __future__ import annotations
 
@@ -6,53 +6,54 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 import re
-import sqlite3
-import struct
-import sys
-from typing import Any, NamedTuple, Protocol
-
-import apsw
-from rosbags import rosbag1, rosbag2
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
+from tempfile import TemporaryDirectory
+from typing import NamedTuple, Protocol
 
 from trajectory_calibration.errors import SourceError
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
-# Topic, type, receive time in nanoseconds, serialized data.
-Message = tuple[str, str, int, bytes]
-
-# What rosbags and the libraries below it raise on a damaged file: its own errors, and whatever
-# the first wrong length, offset or character happens to hit. Found by flipping and cutting.
-DAMAGE: tuple[type[Exception], ...] = (
-    rosbag1.ReaderError, rosbag2.ReaderError, apsw.Error, sqlite3.Error, zstd.ZstdError,
-    YAMLError, struct.error, ArithmeticError, AssertionError, AttributeError, EOFError,
-    LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError,
-)
+from trajectory_calibration.sources.packing import unpack_zstd, unpack_zstd_file, ZSTD_MAGIC
+from trajectory_calibration.sources.text import refuse_pointer
 
 _STORAGE_SUFFIXES = ('.mcap', '.db3')
+_PACKED_SUFFIXES = ('.zstd', '.zst')
 _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
+_SOME = 9
+_OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
 
 class Channel(NamedTuple):
-    """A topic in a file: its name, its type, how many messages the file declares."""
+    """A topic in a file: its name, its type, how many messages, how they are serialised."""
 
     topic: str
     msgtype: str
     messages: int
+    encoding: str = 'cdr'
+
+
+class Batch(NamedTuple):
+    """Messages of one channel: times of reception in nanoseconds, and the serialised data."""
+
+    channel: Channel
+    received_ns: list[int]
+    messages: list[bytes]
 
 
 class Storage(Protocol):
-    """An open file of a bag."""
+    """An open file of a bag.
+
+    Attributes
+    ----------
+    channels : topics, types and counts.
+    damage : what was found wrong so far; empty where nothing was.
+    counted : whether the counts come from an index, and reading can give fewer.
+
+    """
 
     channels: list[Channel]
+    damage: str
+    counted: bool
 
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some topics; raises one of DAMAGE where the file is damaged."""
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Yield the messages of some topics, those that are whole."""
         ...
 
     def close(self) -> None:
@@ -67,7 +68,7 @@ class Bag:
     Attributes
     ----------
     path : what the user named, a file or a folder.
-    files : what is to be opened: the storage files, or the folder where rosbags must unpack it.
+    files : the storage files.
     declared : messages of each topic according to metadata.yaml; empty without it.
     notes : what is wrong with the folder.
 
@@ -77,6 +78,13 @@ class Bag:
     files: tuple[Path, ...]
     declared: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+
+def plain_type(msgtype: str) -> str:
+    """Return a type as ROS 2 names it: nav_msgs/Odometry as nav_msgs/msg/Odometry."""
+    package, _, name = msgtype.partition('/')
+    full = msgtype if '/' in name or not name else f'{package}/msg/{name}'
+    return _OLD_NAMES.get(full, full)
 
 
 def find_bag(path: Path) -> Bag:
@@ -90,75 +98,101 @@ def find_bag(path: Path) -> Bag:
     """
     if path.is_dir():
         return _find_folder(path)
+    needed = f'needed a rosbag2 folder or a {", ".join(_SUFFIXES)} file'
     if not path.exists():
-        raise SourceError(f'{path} does not exist; needed a rosbag2 folder or a '
-                          f'{", ".join(_SUFFIXES)} file')
-    if path.suffix not in _SUFFIXES:
-        raise SourceError(f'{path} is not a bag; needed a rosbag2 folder or a '
-                          f'{", ".join(_SUFFIXES)} file')
+        raise SourceError(f'{path} does not exist; {needed}')
+    if _storage_suffix(path) not in _SUFFIXES:
+        raise SourceError(f'{path} is not a bag; {needed}')
     return Bag(path, (path,), notes=_log_note(path))
 
 
-def is_ros1(path: Path) -> bool:
-    """Tell a ROS 1 bag, one file, from the files and folders of rosbag2."""
-    return path.suffix == '.bag' and not path.is_dir()
+def open_storage(
+    path: Path, *, count: bool,
+) -> tuple[Storage, TemporaryDirectory[str] | None]:
+    """Open a file of a bag, unpacked into a folder that is returned where it is compressed.
 
+    ``count`` asks for numbers of messages also where that takes time.
 
-class RosbagsStorage:
-    """A file, or a compressed folder, that ``rosbags`` opens; raises one of DAMAGE if not.
-
-    Attributes
-    ----------
-    channels : the topics in it.
+    Raises
+    ------
+    SourceError
+        A pointer of Git LFS, or a package is missing that unpacks the file.
+    Exception
+        Anything else, where the file is damaged.
 
     """
+    with path.open('rb') as stream:
+        beginning = stream.read(64)
+    refuse_pointer(path, beginning)
+    if not beginning:
+        raise ValueError('it is empty')
+    suffix, folder, damage = _storage_suffix(path), None, ''
+    if beginning.startswith(ZSTD_MAGIC):
+        folder = TemporaryDirectory(prefix='trajectory_calibration_')
+        unpacked = Path(folder.name) / f'bag{suffix}'
+        damage = unpack_zstd_file(path, unpacked)
+        path = unpacked
+    try:
+        # Each of them loads where such a file is read.
+        storage: Storage
+        if suffix == '.mcap':
+            from trajectory_calibration.sources.mcap import McapFile
+            storage = McapFile(path)
+        elif suffix == '.db3':
+            from trajectory_calibration.sources.sqlite import SqliteFile
+            storage = SqliteFile(path, count=count)
+        else:
+            from trajectory_calibration.sources.rosbag1 import Ros1File
+            storage = Ros1File(path)
+    except Exception:
+        if folder is not None:
+            folder.cleanup()
+        raise
+    storage.damage = damage or storage.damage
+    return storage, folder
 
-    def __init__(self, path: Path) -> None:
-        self._reader: Any = (rosbag1 if is_ros1(path) else rosbag2).Reader(path)
-        self._reader.open()
-        counts: dict[tuple[str, str], int] = {}
-        for connection in self._reader.connections:
-            key = connection.topic, connection.msgtype
-            if not all(isinstance(name, str) for name in key):
-                self._reader.close()
-                raise TypeError(f'the topic {key} has no name or no type')
-            counts[key] = counts.get(key, 0) + connection.msgcount
-        self.channels = [Channel(*key, count) for key, count in counts.items()]
 
-    def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of some topics in the order of their receive times."""
-        connections = [item for item in self._reader.connections if item.topic in topics]
-        if not connections:
-            return
-        for connection, stamp_ns, data in self._reader.messages(connections):
-            yield connection.topic, connection.msgtype, stamp_ns, data
+def unpacked(batch: Batch) -> Batch:
+    """Return the messages as they were before the recorder compressed each of them."""
+    # A recorder compresses all of them; a damaged one must not hide that.
+    some = batch.messages[:_SOME]
+    if batch.channel.encoding != 'cdr' or not any(
+            message.startswith(ZSTD_MAGIC) for message in some):
+        return batch
+    return batch._replace(messages=list(map(_unpacked, batch.messages)))
 
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
+
+def _unpacked(message: bytes) -> bytes:
+    if not message.startswith(ZSTD_MAGIC):
+        return message
+    try:
+        return unpack_zstd(message)
+    except SourceError:
+        raise
+    except Exception:  # noqa: BLE001
+        # What is no message is counted as one that cannot be read.
+        return b''
 
 
 def describe_damage(error: Exception) -> str:
-    """Return the kind and the first line of an error of a library."""
-    lines = str(error).splitlines() or ['']
-    return f'{type(error).__name__}: {lines[0][:120]}'.removesuffix(': ')
+    """Return the first line of an error, or its kind where it has none."""
+    lines = str(error).splitlines()
+    return lines[0][:120] if lines else type(error).__name__
+
+
+def _storage_suffix(path: Path) -> str:
+    """Return the suffix of a file, without that of its compression."""
+    return Path(path.stem).suffix if path.suffix in _PACKED_SUFFIXES else path.suffix
 
 
 def _find_folder(path: Path) -> Bag:
-    present = sorted(
-        (item for item in path.iterdir() if item.suffix in _STORAGE_SUFFIXES), key=_natural)
+    present = sorted((item for item in path.iterdir()
+                      if _storage_suffix(item) in _STORAGE_SUFFIXES), key=_natural)
     notes = tuple(note for item in present for note in _log_note(item))
     try:
-        text = (path / 'metadata.yaml').read_text(encoding='utf-8')
-        metadata = YAML(typ='safe', pure=True).load(text)['rosbag2_bagfile_information']
-        if str(metadata.get('compression_mode') or '').lower() not in ('', 'none'):
-            return Bag(path, (path,))
-        listed = [path / PurePath(name).name for name in metadata['relative_file_paths']]
-        declared: dict[str, int] = {}
-        for topic in metadata['topics_with_message_count']:
-            name = str(topic['topic_metadata']['name'])
-            declared[name] = declared.get(name, 0) + int(topic['message_count'])
-    except DAMAGE as error:
+        listed, declared = _metadata(path)
+    except Exception as error:
+        # YAML, and what it holds, may be damaged in any way.
         if not present:
             raise SourceError(
                 f'{path} is not a bag: no metadata.yaml that can be read '
@@ -168,14 +202,32 @@ def _find_folder(path: Path) -> Bag:
                   else f'is damaged ({describe_damage(error)})')
         note = f'metadata.yaml {reason}: read {", ".join(item.name for item in present)}'
         return Bag(path, tuple(present), notes=(note, *notes))
-    missing = [item.name for item in listed if not item.exists()]
+    files, missing = [], []
+    for name in listed:
+        # The name of a compressed file may stand there without the suffix of its compression.
+        found = [item for item in present if item.name == name or (
+            item.suffix in _PACKED_SUFFIXES and item.stem == name)]
+        files += found[:1]
+        missing += [] if found else [name]
     if missing:
         notes += (f'metadata.yaml lists {", ".join(missing)}, which do not exist',)
-    files = tuple(item for item in listed if item.exists())
     if not files:
         raise SourceError(f'{path}: none of the files that metadata.yaml lists exists: '
                           f'{", ".join(missing)}')
-    return Bag(path, files, declared, notes)
+    return Bag(path, tuple(files), declared, notes)
+
+
+def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
+    """Return the files and the messages of each topic that metadata.yaml lists."""
+    from ruamel.yaml import YAML
+    text = (path / 'metadata.yaml').read_text(encoding='utf-8')
+    metadata = YAML(typ='safe', pure=True).load(text)['rosbag2_bagfile_information']
+    listed = [PurePath(name).name for name in metadata['relative_file_paths']]
+    declared: dict[str, int] = {}
+    for topic in metadata['topics_with_message_count']:
+        name = str(topic['topic_metadata']['name'])
+        declared[name] = declared.get(name, 0) + int(topic['message_count'])
+    return listed, declared
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

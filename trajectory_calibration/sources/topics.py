@@ -8,15 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.findings import Finding, texts
+from trajectory_calibration.data.plausibility import lost_as_identity
 from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, Trajectory
 from trajectory_calibration.errors import SourceError, TrajectoryError
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.deserialise import Deserialiser
+from trajectory_calibration.sources.storage import Batch
+from trajectory_calibration.sources.times import require_own_stamps
+from trajectory_calibration.sources.transforms import parse_tf, TransformTree
 
-# Messages held as bytes before they become numbers: enough to make NumPy's overhead vanish.
-_BLOCK = 8192
 _INT64_MAX = 2**63 - 1
 
 
@@ -34,6 +37,7 @@ class TopicTrack:
     frame_index : (N,), index into ``frames``.
     frames : pairs of header.frame_id and child_frame_id.
     warnings : what is missing from the bag.
+    notes : what was left out on purpose.
 
     """
 
@@ -47,6 +51,7 @@ class TopicTrack:
     frame_index: NDArray[np.intp]
     frames: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_trajectory(
         self, sensor_frame: str | None = None, world_frame: str | None = None,
@@ -68,9 +73,12 @@ class TopicTrack:
             Fewer than two poses are left.
 
         """
-        notes = list(self.warnings)
+        notes = [*(Finding('bag-damaged', text) for text in self.warnings),
+                 *(Finding('input-repaired', text) for text in self.notes)]
         if self.unreadable:
-            notes.append(f'{self.unreadable} of {self.messages} messages cannot be read: dropped')
+            notes.append(Finding(
+                'input-repaired',
+                f'{self.unreadable} of {self.messages} messages cannot be read: dropped'))
         keep = np.ones(len(self.poses), dtype=bool)
         world, sensor = self._keep_one_frame(keep, notes)
         stamps_ns = self._keep_stamped(keep, notes)
@@ -78,106 +86,124 @@ class TopicTrack:
         sensor = sensor_frame or sensor or self.topic.strip('/').replace('/', '_')
         world = world_frame or world or 'map'
         if np.count_nonzero(keep) < 2:
-            reasons = f' ({"; ".join(notes)})' if notes else ''
+            reasons = f' ({"; ".join(texts(notes))})' if notes else ''
             raise SourceError(
                 f'{self.topic}: {np.count_nonzero(keep)} of {self.messages} messages give a pose, '
                 f'needed at least 2{reasons}; record while the sensor moves')
+        require_own_stamps(
+            stamps_ns[keep], self.poses[keep], self.topic,
+            'use a topic whose messages carry the time of each pose')
         try:
             return Trajectory.from_quaternions(
                 stamps_ns[keep], self.poses[keep, :3], self.poses[keep, 3:], world, sensor,
-                tuple(Finding('input-repaired', f'{sensor}: {self.topic}: {note}')
+                tuple(replace(note, text=f'{sensor}: {self.topic}: {note.text}')
                       for note in notes))
         except TrajectoryError as error:
             raise SourceError(f'{self.topic}: {error}') from error
 
-    def _keep_one_frame(self, keep: NDArray[np.bool_], notes: list[str]) -> tuple[str, str]:
+    def _keep_one_frame(self, keep: NDArray[np.bool_], notes: list[Finding]) -> tuple[str, str]:
         if not self.frames:
             return '', ''
-        counts = np.bincount(self.frame_index, minlength=len(self.frames))
+        # tf2 refuses names with the leading slash that ROS 1 had.
+        plain = [(frame.lstrip('/'), child.lstrip('/')) for frame, child in self.frames]
+        names = list(dict.fromkeys(plain))
+        index = np.array([names.index(pair) for pair in plain])[self.frame_index]
+        counts = np.bincount(index, minlength=len(names))
         most = int(np.argmax(counts))
         if np.count_nonzero(counts) > 1:
             others = ', '.join(
                 f'{count} in {_frame_names(frames)}'
-                for k, (frames, count) in enumerate(zip(self.frames, counts, strict=True))
+                for k, (frames, count) in enumerate(zip(names, counts, strict=True))
                 if count and k != most)
-            notes.append(f'the frames change: kept {counts[most]} poses in '
-                         f'{_frame_names(self.frames[most])}, dropped {others}')
-        keep &= self.frame_index == most
-        return self.frames[most]
+            notes.append(Finding(
+                'input-repaired', f'the frames change: kept {counts[most]} poses in '
+                f'{_frame_names(names[most])}, dropped {others}'))
+        slashed = [name for pair in self.frames for name in pair if name.startswith('/')]
+        if slashed:
+            notes.append(Finding(
+                'frame-renamed', 'frames lose their leading slash, which tf2 refuses: '
+                f'{", ".join(dict.fromkeys(slashed))}'))
+        keep &= index == most
+        return names[most]
 
-    def _keep_stamped(self, keep: NDArray[np.bool_], notes: list[str]) -> NDArray[np.int64]:
+    def _keep_stamped(self, keep: NDArray[np.bool_], notes: list[Finding]) -> NDArray[np.int64]:
         missing = self.stamps_ns == 0
         count = int(np.count_nonzero(missing & keep))
         if count and count == np.count_nonzero(keep) and self.msgtype != cdr.PATH:
-            notes.append('the headers carry no stamps: the times of reception are used')
+            notes.append(Finding(
+                'input-repaired',
+                'the headers carry no stamps: the times of reception are used'))
             return self.received_ns
         if count:
-            notes.append(f'{count} headers carry no stamp: dropped')
+            notes.append(Finding('input-repaired', f'{count} headers carry no stamp: dropped'))
             keep &= ~missing
         return self.stamps_ns
 
-    def _keep_poses(self, keep: NDArray[np.bool_], notes: list[str]) -> None:
+    def _keep_poses(self, keep: NDArray[np.bool_], notes: list[Finding]) -> None:
         for bad, what in zip(pose_faults(self.poses), (
                 'are not finite', 'have a quaternion that is not of unit length',
                 f'lie more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
             if (bad & keep).any():
-                notes.append(f'{np.count_nonzero(bad & keep)} poses {what}: dropped')
+                notes.append(Finding(
+                    'poses-lost', f'{np.count_nonzero(bad & keep)} poses {what}: dropped'))
             keep &= ~bad
+        lost = np.zeros(len(keep), dtype=bool)
+        lost[keep] = lost_as_identity(self.poses[keep])
+        if lost.any():
+            notes.append(Finding(
+                'poses-lost', f'{np.count_nonzero(lost)} poses are the identity, far from their '
+                'neighbours (the SLAM was lost?): dropped'))
+        keep &= ~lost
 
 
 class TopicCollector:
     """Gathers the messages of one topic from one file."""
 
-    def __init__(self, topic: str, msgtype: str, *, ros1: bool) -> None:
+    def __init__(self, topic: str, msgtype: str) -> None:
         self.count = 0
-        self._topic, self._msgtype, self._ros1 = topic, msgtype, ros1
-        self._deserialiser: Deserialiser | None = None
-        self._waiting: list[bytes] = []
-        self._received: list[int] = []
+        self._topic, self._msgtype = topic, msgtype
+        self._ros1 = False
+        self._path_message: bytes | None = None
+        self._path_received_ns = 0
         self._parts: list[TopicTrack] = []
 
-    def add(self, message: bytes, received_ns: int) -> None:
-        """Take one serialized message and the time the recorder got it."""
-        self.count += 1
-        # Bags count in unsigned numbers; a damaged one may hold any.
-        received_ns = min(received_ns, _INT64_MAX)
+    def add(self, batch: Batch) -> None:
+        """Take messages in the order in which the recorder got them."""
+        self.count += len(batch.messages)
+        self._ros1 = batch.channel.encoding == 'ros1'
+        received_ns = _stamps(batch.received_ns)
         if self._msgtype == cdr.PATH:
-            # A SLAM publishes its whole optimised path again and again: the last one counts, but
-            # for one without a usable pose. Paths grow: only a shorter one is looked into.
-            shorter = bool(self._waiting) and len(message) < len(self._waiting[0])
-            path = self._path(message) if shorter else None
-            if not shorter or (path is not None and _is_usable(path)):
-                if path is not None:
-                    self._set_apart(int(path.stamps_ns.min()))
-                self._waiting, self._received = [message], [received_ns]
-            return
-        self._waiting.append(message)
-        self._received.append(received_ns)
-        if len(self._waiting) == _BLOCK:
-            self._flush()
+            for message, stamp_ns in zip(batch.messages, received_ns, strict=True):
+                self._add_path(message, int(stamp_ns))
+        else:
+            self._add_poses(batch.messages, received_ns)
 
     def track(self) -> TopicTrack:
         """Return everything that was taken."""
-        if self._msgtype == cdr.PATH:
-            last = self._path_track()
-            parts = [*self._parts, last]
-            return join_tracks(self._topic, self._msgtype, parts) if self._parts else last
-        self._flush()
-        return join_tracks(self._topic, self._msgtype, self._parts)
+        if self._msgtype != cdr.PATH:
+            return join_tracks(self._topic, self._msgtype, self._parts)
+        last = self._path_track()
+        parts = [*self._parts, last]
+        return join_tracks(self._topic, self._msgtype, parts) if self._parts else last
 
-    def _flush(self) -> None:
-        messages, received = self._waiting, self._received
-        self._waiting, self._received = [], []
-        if not messages:
-            return
-        # ROS 1 data is never taken for CDR: its own layout could look like it by chance.
-        block = cdr.parse_poses([] if self._ros1 else messages, self._msgtype)
-        if self._ros1:
-            block = cdr.PoseBlock(
-                np.zeros(len(messages), dtype=np.int64), np.zeros((len(messages), 7)),
-                np.full(len(messages), -1), [])
+    def _add_path(self, message: bytes, received_ns: int) -> None:
+        """Keep a path if it replaces the one that is held.
+
+        A SLAM publishes its whole optimised path again and again: the last one counts, but for
+        one without a usable pose. Paths grow: only a shorter one is looked into.
+        """
+        held = self._path_message
+        shorter = held is not None and len(message) < len(held)
+        path = self._path(message) if shorter else None
+        if not shorter or (path is not None and _is_usable(path)):
+            if path is not None:
+                self._set_apart(int(path.stamps_ns.min()))
+            self._path_message, self._path_received_ns = message, received_ns
+
+    def _add_poses(self, messages: list[bytes], received_ns: NDArray[np.int64]) -> None:
+        block = cdr.parse_poses(messages, self._msgtype, ros1=self._ros1)
         for k in np.flatnonzero(block.frame_index < 0).tolist():
-            sample = self._general.pose(messages[k], self._msgtype)
+            sample = Deserialiser(ros1=self._ros1).pose(messages[k], self._msgtype)
             if sample is None:
                 continue
             if sample.frames not in block.frames:
@@ -187,7 +213,7 @@ class TopicCollector:
         read = block.frame_index >= 0
         self._parts.append(TopicTrack(
             self._topic, self._msgtype, len(messages), len(messages) - np.count_nonzero(read),
-            block.stamps_ns[read], np.array(received, dtype=np.int64)[read], block.poses[read],
+            block.stamps_ns[read], received_ns[read], block.poses[read],
             block.frame_index[read], tuple(block.frames)))
 
     def _set_apart(self, start_ns: int) -> None:
@@ -198,44 +224,117 @@ class TopicCollector:
 
     def _path(self, message: bytes) -> cdr.PathPoses | None:
         path = None if self._ros1 else cdr.parse_path(message)
-        return self._general.path(message) if path is None else path
+        return Deserialiser(ros1=self._ros1).path(message) if path is None else path
 
     def _path_track(self) -> TopicTrack:
-        path = self._path(self._waiting[0]) if self._waiting else None
+        path = None if self._path_message is None else self._path(self._path_message)
         if path is None:
             return TopicTrack(
                 self._topic, self._msgtype, self.count, min(self.count, 1), *_nothing(), ())
         count = len(path.poses)
-        received_ns = np.full(count, self._received[0])
+        received_ns = np.full(count, self._path_received_ns)
         return TopicTrack(
             self._topic, self._msgtype, self.count, 0, path.stamps_ns, received_ns, path.poses,
             np.zeros(count, dtype=np.intp), ((path.frame, ''),))
 
-    @property
-    def _general(self) -> Deserialiser:
-        if self._deserialiser is None:
-            self._deserialiser = Deserialiser(ros1=self._ros1)
-        return self._deserialiser
+
+class TransformCollector:
+    """Gathers the transforms of one topic, /tf or /tf_static, from one file.
+
+    Attributes
+    ----------
+    count, unreadable : messages that were taken, and how many of them were no transforms.
+    received_ns : when the first of them was received.
+    runs : the transforms between two frames, in the order in which they came.
+
+    """
+
+    def __init__(self, topic: str) -> None:
+        self.count, self.unreadable, self.received_ns = 0, 0, _INT64_MAX
+        self.static = topic.endswith('tf_static')
+        self.runs: list[cdr.TransformRun] = []
+
+    def add(self, batch: Batch) -> None:
+        """Take messages in the order in which the recorder got them."""
+        ros1 = batch.channel.encoding == 'ros1'
+        self.received_ns = min(self.received_ns, batch.received_ns[0])
+        runs, left = ([], range(len(batch.messages))) if ros1 else cdr.parse_transforms(
+            batch.messages)
+        by_frames: dict[cdr.TwoFrames, list[cdr.TransformRun]] = {}
+        for run in runs:
+            by_frames.setdefault(run.frames, []).append(run)
+        for k in left:
+            found = Deserialiser(ros1=ros1).transforms(batch.messages[k])
+            self.unreadable += found is None
+            for item in found or ():
+                by_frames.setdefault(item.frames, []).append(cdr.TransformRun(
+                    item.frames, np.array([self.count + k]),
+                    np.array([item.stamp_ns], dtype=np.int64), np.array([item.pose])))
+        for frames, parts in by_frames.items():
+            messages, stamps_ns, poses = (
+                np.concatenate(columns) for columns in zip(*(part[1:] for part in parts),
+                                                           strict=True))
+            order = np.argsort(messages, kind='stable')
+            self.runs.append(
+                cdr.TransformRun(frames, messages[order], stamps_ns[order], poses[order]))
+        self.count += len(batch.messages)
+
+
+def transform_tree(collectors: Sequence[TransformCollector]) -> TransformTree:
+    """Put the transforms of several topics and files together, in the order of reception."""
+    tree = TransformTree()
+    for collector in sorted(collectors, key=lambda item: item.received_ns):
+        for run in collector.runs:
+            tree.extend(*run.frames, run.stamps_ns, run.poses, static=collector.static)
+    return tree
+
+
+def transform_track(
+    name: str, tree: TransformTree, collectors: Sequence[TransformCollector],
+) -> TopicTrack:
+    """Return the poses that ``tf:PARENT.CHILD`` names.
+
+    Raises
+    ------
+    TopicError
+        The two frames are not connected, or do not move in relation to each other.
+
+    """
+    parent, child = parse_tf(name, tree.frames)
+    notes: list[str] = []
+    stamps_ns, T = tree.compose(parent, child, notes)
+    poses = np.column_stack([T[:, :3, 3], se3.rotation_to_quaternion(T[:, :3, :3])])
+    return TopicTrack(
+        name, cdr.TF, sum(item.count for item in collectors),
+        sum(item.unreadable for item in collectors), stamps_ns, stamps_ns, poses,
+        np.zeros(len(stamps_ns), dtype=np.intp), ((parent, child),), notes=tuple(notes))
+
+
+def _stamps(received_ns: list[int]) -> NDArray[np.int64]:
+    """Return times as an array; bags count in unsigned numbers, a damaged one may hold any."""
+    try:
+        return np.array(received_ns, dtype=np.int64)
+    except OverflowError:
+        return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
 
 
 def _is_usable(path: cdr.PathPoses) -> bool:
     return not np.all(np.any([path.stamps_ns == 0, *pose_faults(path.poses)], axis=0))
 
 
-def join_tracks(
-    topic: str, msgtype: str, parts: Sequence[TopicTrack], warnings: tuple[str, ...] = (),
-) -> TopicTrack:
+def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicTrack:
     """Put the parts of one topic from several files together, in the order of reception."""
-    warnings += tuple(text for part in parts for text in part.warnings)
+    notes = [text for part in parts for text in part.notes]
     filled = sorted((part for part in parts if len(part.poses)),
                     key=lambda part: int(part.received_ns[0]))
     if msgtype == cdr.PATH:
-        warnings += tuple(_dropped_note(filled))
+        notes += _dropped_note(filled)
         filled = filled[-1:]
     messages, unreadable = (sum(part.messages for part in parts),
                             sum(part.unreadable for part in parts))
     if not filled:
-        return TopicTrack(topic, msgtype, messages, unreadable, *_nothing(), (), warnings)
+        return TopicTrack(
+            topic, msgtype, messages, unreadable, *_nothing(), (), notes=tuple(notes))
     frames = tuple(dict.fromkeys(pair for part in filled for pair in part.frames))
     return TopicTrack(
         topic, msgtype, messages, unreadable,
@@ -245,7 +344,7 @@ def join_tracks(
         np.concatenate([
             np.array([frames.index(pair) for pair in part.frames])[part.frame_index]
             for part in filled]),
-        frames, warnings)
+        frames, notes=tuple(notes))
 
 
 def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:

@@ -1,0 +1,137 @@
+"""The transforms from one frame to its child, over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# An edge is silent where it pauses for longer than this, and than ten of its usual steps.
+_GAP_NS = 1_000_000_000
+_GAP_FACTOR = 10
+# Time that runs backwards by more than this began anew; by less, messages changed places.
+_RESTART_NS = 1_000_000_000
+
+
+@dataclass(eq=False)
+class Edge:
+    """The transforms from one frame to its child.
+
+    Attributes
+    ----------
+    parent, child : names of the frames.
+    static : whether the transform holds at all times.
+    changes : how many transforms differ from the one before.
+
+    """
+
+    parent: str
+    child: str
+    static: bool = False
+    changes: int = 0
+    _blocks: list[tuple[NDArray[np.int64], FloatArray]] = field(default_factory=list)
+    _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
+    _last: FloatArray | None = None
+
+    def __str__(self) -> str:
+        return f'{self.parent} -> {self.child}'
+
+    def add(self, stamp_ns: int, pose: Sequence[float]) -> None:
+        """Take one transform: x, y, z (m), qx, qy, qz, qw."""
+        self._waiting.append((stamp_ns, pose))
+
+    def extend(self, stamps_ns: ArrayLike, poses: ArrayLike) -> None:
+        """Take (N,) stamps and (N, 7) transforms in the order in which they came."""
+        stamps = np.asarray(stamps_ns, dtype=np.int64)
+        new = np.asarray(poses, dtype=np.float64).reshape(len(stamps), 7)
+        usable = np.isfinite(new).all(axis=1)
+        with np.errstate(over='ignore', invalid='ignore'):
+            usable &= np.abs(np.linalg.norm(new[:, 3:], axis=1) - 1.0) < 1e-2
+        stamps, new = stamps[usable], new[usable]
+        if not len(new):
+            return
+        first = new[:1] if self._last is None else self._last[None]
+        before = np.concatenate([first, new[:-1]])
+        self.changes += int(np.count_nonzero((new != before).any(axis=1)))
+        self._last = new[-1]
+        self._blocks.append((stamps, new))
+
+    @property
+    def samples(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """(N,) stamps and (N, 7) transforms in the order in which they came."""
+        if self._waiting:
+            stamps, poses = zip(*self._waiting, strict=True)
+            self._waiting = []
+            self.extend(stamps, poses)
+        if len(self._blocks) > 1:
+            self._blocks = [(np.concatenate([block[0] for block in self._blocks]),
+                             np.concatenate([block[1] for block in self._blocks]))]
+        return self._blocks[0] if self._blocks else (np.zeros(0, np.int64), np.zeros((0, 7)))
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop what no later pose needs."""
+        stamps_ns, poses = self.samples
+        if not self.static and len(stamps_ns):
+            first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - 1, 0)
+            self._blocks = [(stamps_ns[first:], poses[first:])]
+
+    def ordered(self, notes: list[str]) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return the samples in the order of their stamps, one a stamp, of one run of time."""
+        stamps_ns, poses = self.samples
+        if np.all(stamps_ns[1:] > stamps_ns[:-1]):
+            return stamps_ns, poses
+        restarts = np.flatnonzero(np.diff(stamps_ns) < -_RESTART_NS) + 1
+        parts = np.split(np.arange(len(stamps_ns)), restarts)
+        longest = max(parts, key=len)
+        if len(parts) > 1:
+            notes.append(
+                f'the time of {self} ran backwards {len(parts) - 1} times (was the bag or the '
+                f'simulation restarted?): kept {len(longest)} of {len(stamps_ns)} transforms')
+        stamps_ns, first = np.unique(stamps_ns[longest], return_index=True)
+        return stamps_ns, poses[longest][first]
+
+
+def covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which times lie on a stamp, or between two that are no gap apart."""
+    if len(stamps_ns) == 0:
+        return np.zeros(len(at_ns), dtype=bool)
+    right = np.searchsorted(stamps_ns, at_ns)
+    left = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
+    inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
+    step = stamps_ns[np.minimum(right, len(stamps_ns) - 1)] - stamps_ns[left]
+    usual = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+    found: NDArray[np.bool_] = inside & (step <= max(_GAP_NS, _GAP_FACTOR * usual))
+    return found
+
+
+def interpolated(
+    stamps_ns: NDArray[np.int64], poses: FloatArray, at_ns: NDArray[np.int64],
+) -> FloatArray:
+    """Return (M, 4, 4) poses at (M,) times within the (N,) stamps of (N, 7) poses."""
+    right = np.searchsorted(stamps_ns, at_ns)
+    left = np.searchsorted(stamps_ns, at_ns, side='right') - 1
+    step = np.maximum(stamps_ns[right] - stamps_ns[left], 1)
+    share = ((at_ns - stamps_ns[left]) / step)[:, None]
+    start, end = poses[left], poses[right]
+    mixed = np.empty_like(start)
+    mixed[:, :3] = (1.0 - share) * start[:, :3] + share * end[:, :3]
+    cosine = np.sum(start[:, 3:] * end[:, 3:], axis=1, keepdims=True)
+    toward = np.where(cosine < 0, -end[:, 3:], end[:, 3:])
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    # The arc between orientations that hardly differ is a straight line.
+    sine = np.where(angle > 1e-6, np.sin(angle), 1.0)
+    weight_start = np.where(angle > 1e-6, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
+    weight_end = np.where(angle > 1e-6, np.sin(share * angle) / sine, share)
+    mixed[:, 3:] = weight_start * start[:, 3:] + weight_end * toward
+    return matrices(mixed)
+
+
+def matrices(poses: FloatArray) -> FloatArray:
+    """Return the (N, 4, 4) matrices of (N, 7) poses."""
+    q = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return se3.from_rotation_translation(se3.quaternion_to_rotation(q), poses[:, :3])

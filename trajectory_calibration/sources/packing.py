@@ -1,0 +1,79 @@
+"""Compressed data: the formats that bags use. Their packages load where they are met."""
+
+from __future__ import annotations
+
+import bz2
+import importlib
+from pathlib import Path
+import sys
+from typing import Any
+
+from trajectory_calibration.errors import pip_name, SourceError
+
+ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
+_BLOCK = 1 << 22
+
+
+def unpack(data: bytes, compression: str, size: int) -> bytes:
+    """Return the content of compressed data of a known size.
+
+    Raises
+    ------
+    SourceError
+        The package that this needs is not installed.
+    ValueError
+        The format is not known.
+
+    """
+    if compression in ('', 'none'):
+        return data
+    if compression == 'bz2':
+        return bz2.decompress(data)
+    if compression == 'lz4':
+        return bytes(_package('lz4.frame').decompress(data))
+    if compression == 'zstd':
+        return unpack_zstd(data, size)
+    raise ValueError(f'compression {compression!r} is not known')
+
+
+def unpack_zstd(data: bytes, size: int = 0) -> bytes:
+    """Return the content of one zstd frame; its size where it does not declare it."""
+    module = _zstd()
+    if hasattr(module, 'ZstdDecompressor') and not hasattr(module, 'ZstdFile'):
+        # The package zstandard, which Ubuntu has.
+        return bytes(module.ZstdDecompressor().decompress(data, max_output_size=size))
+    return bytes(module.decompress(data))
+
+
+def unpack_zstd_file(packed: Path, target: Path) -> str:
+    """Write the content of a .zstd file; return why that ended too soon, empty if it did not."""
+    module = _zstd()
+    with packed.open('rb') as source, target.open('wb') as sink:
+        decompressor = module.ZstdDecompressor()
+        decompressor = decompressor.decompressobj() if hasattr(
+            decompressor, 'decompressobj') else decompressor
+        try:
+            while block := source.read(_BLOCK):
+                sink.write(decompressor.decompress(block))
+        except Exception as error:  # noqa: BLE001
+            # Each of the packages raises its own; what was written so far is of use.
+            return str(error) or type(error).__name__
+        return '' if getattr(decompressor, 'eof', True) else 'its end is missing'
+
+
+def _zstd() -> Any:
+    if sys.version_info >= (3, 14):
+        return importlib.import_module('compression.zstd')
+    try:
+        return importlib.import_module('backports.zstd')
+    except ModuleNotFoundError:
+        return _package('zstandard', 'backports.zstd')
+
+
+def _package(name: str, wanted: str | None = None) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        package = wanted or pip_name(error)
+        raise SourceError(f'this bag is compressed, and the Python package {package} is not '
+                          f'installed; install it with: pip install {package}') from error

@@ -1,0 +1,112 @@
+"""A sqlite3 file of rosbag2, read row by row in the order in which the rows were written."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+import json
+from pathlib import Path
+import sqlite3
+
+from trajectory_calibration.sources.storage import Batch, Channel, plain_type
+
+# Few enough rows for the cache, enough to make NumPy's overhead vanish.
+_BLOCK = 2048
+# Rows without one that can be read, in a row, after which there are none left.
+_LONGEST_STRIDE = 2**32
+
+
+class SqliteFile:
+    """An open sqlite3 file.
+
+    Attributes
+    ----------
+    channels : topics, types and numbers of rows; zero where they were not to be counted.
+    damage : what was found wrong, empty so far if nothing.
+    counted : whether the counts tell more than reading does: they do not.
+
+    """
+
+    counted = False
+
+    def __init__(self, path: Path, *, count: bool) -> None:
+        self.damage = ''
+        self._connection = sqlite3.connect(
+            f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
+        try:
+            # Without it, sqlite refuses a file that is shorter than its header says. The file
+            # is open read-only: nothing is written.
+            self._connection.execute('PRAGMA writable_schema = ON')
+            self._topics = {
+                topic_id: Channel(str(name), plain_type(str(msgtype)), 0, str(encoding))
+                for topic_id, name, msgtype, encoding in self._connection.execute(
+                    'SELECT id, name, type, serialization_format FROM topics')}
+        except Exception:
+            self._connection.close()
+            raise
+
+        self.channels = self._counted() if count else list(self._topics.values())
+
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Yield the messages of some topics in the order of the file."""
+        wanted = [key for key, channel in self._topics.items() if channel.topic in topics]
+        for rows in self._rows(wanted):
+            for topic_id in wanted:
+                chosen = rows if len(wanted) == 1 else [row for row in rows if row[1] == topic_id]
+                if chosen:
+                    _, _, received_ns, messages = zip(*chosen, strict=True)
+                    yield Batch(self._topics[topic_id], list(received_ns), list(messages))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._connection.close()
+
+    def _counted(self) -> list[Channel]:
+        """Return the channels with the numbers of their rows."""
+        try:
+            counts = dict(self._connection.execute(
+                'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id'))
+            # The index of the times, where there is one, is a second list of all rows.
+            ((indexed,),) = self._connection.execute('SELECT COUNT(*) FROM messages')
+            missing = indexed - sum(counts.values())
+            if missing > 0:
+                self.damage = f'its table lacks {missing} of the {indexed} rows of its index'
+        except Exception as error:  # noqa: BLE001
+            # sqlite3 has no error for what a damaged page makes of its data.
+            self.damage = str(error) or type(error).__name__
+            counts = {}
+            for rows in self._rows(list(self._topics)):
+                for row in rows:
+                    counts[row[1]] = counts.get(row[1], 0) + 1
+        if set(counts) - set(self._topics):
+            self.damage = self.damage or 'messages of a topic that is not declared'
+        return [channel._replace(messages=counts.get(key, 0))
+                for key, channel in self._topics.items()]
+
+    def _rows(self, topic_ids: list[int]) -> Iterator[list[tuple[int, int, int, bytes]]]:
+        """Yield blocks of rows, stepping over damaged pages by ever longer strides."""
+        after, stride, size = 0, 1, _BLOCK
+        wanted = json.dumps(topic_ids)
+        while stride < _LONGEST_STRIDE:
+            try:
+                cursor = self._connection.execute(
+                    'SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id '
+                    'IN (SELECT value FROM json_each(?)) ORDER BY id', (after, wanted))
+                while rows := cursor.fetchmany(size):
+                    # A damaged page may give any number for a row: never go back.
+                    after, stride = max(after, rows[-1][0]), 1
+                    _, _, times, data = zip(*rows, strict=True)
+                    if set(map(type, times)) != {int} or set(map(type, data)) != {bytes}:
+                        self.damage = self.damage or 'some of its rows hold no message'
+                        rows = [row for row in rows
+                                if type(row[2]) is int and type(row[3]) is bytes]
+                    yield rows
+            except sqlite3.Error as error:
+                self.damage = self.damage or str(error)
+            else:
+                return
+            if size > 1:
+                # A block is lost with its first damaged row: from here on one by one.
+                size = 1
+                continue
+            after += stride
+            stride *= 2
