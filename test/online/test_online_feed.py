@@ -31,9 +31,9 @@ def good():
 
 
 def fed(msgtype, messages):
-    from trajectory_calibration.ros.conversions import RosDeserialiser
+    from trajectory_calibration.sources.deserialise import Deserialiser
     buffer = PoseBuffer(BufferLimits())
-    feed = PoseFeed(msgtype, buffer, RosDeserialiser())
+    feed = PoseFeed(msgtype, buffer, Deserialiser(ros1=False))
     for message in messages:
         feed(message)
     return buffer

@@ -17,7 +17,6 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -28,10 +27,8 @@ from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.cdr import (
     ODOMETRY,
     PATH,
-    PathPoses,
     POSE,
     POSE_WITH_COVARIANCE,
-    StampedPose,
     TRANSFORM,
 )
 
@@ -45,42 +42,6 @@ MESSAGE_TYPES = {
 
 # Metres.
 _LINE_WIDTH, _TEXT_HEIGHT = 0.01, 0.5
-
-
-class RosDeserialiser:
-    """Reads messages with ROS itself: for byte orders and layouts that are not the usual one."""
-
-    def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
-        """Return the pose of a message, or None where it is damaged."""
-        value = _read(message, msgtype)
-        if value is None:
-            return None
-        child = value.child_frame_id if msgtype in (ODOMETRY, TRANSFORM) else ''
-        if msgtype == TRANSFORM:
-            t, q = value.transform.translation, value.transform.rotation
-            return StampedPose(_stamp_ns(value.header.stamp), (value.header.frame_id, child),
-                               (t.x, t.y, t.z, q.x, q.y, q.z, q.w))
-        pose = value.pose if msgtype == POSE else value.pose.pose
-        return StampedPose(
-            stamp_ns(value.header.stamp), (value.header.frame_id, child), _numbers(pose))
-
-    def path(self, message: bytes) -> PathPoses | None:
-        """Return the poses of a Path, or None where it is damaged."""
-        value = _read(message, PATH)
-        if value is None:
-            return None
-        stamps_ns = [stamp_ns(item.header.stamp) for item in value.poses]
-        poses = [_numbers(item.pose) for item in value.poses]
-        return PathPoses(
-            value.header.frame_id, np.array(stamps_ns, np.int64), np.array(poses).reshape(-1, 7))
-
-
-def _read(message: bytes, msgtype: str) -> Any:
-    try:
-        return deserialize_message(message, MESSAGE_TYPES[msgtype])
-    except RuntimeError:
-        # The RMWError of rclpy, which it keeps in a private module, is one.
-        return None
 
 
 def stamp_ns(stamp: Time) -> int:
