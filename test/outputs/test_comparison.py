@@ -178,7 +178,8 @@ def test_answers_that_cannot_be_compared_are_refused(result):
 def test_names_in_short():
     assert span_of(['fleet0', 'fleet1', 'fleet7']) == 'fleet0-7'
     assert span_of(['a']) == 'a'
-    assert span_of(['mon', 'tue']) == 'mon ... tue'
+    assert span_of(['mon', 'tue']) == 'mon, tue'
+    assert span_of(['mon', 'tue', 'wed']) == 'mon ... wed'
     assert short_names(['x/mon.mcap', 'x/tue.mcap']) == ['mon', 'tue']
     assert short_names(['mon/result.yaml', 'tue/result.yaml']) == ['mon', 'tue']
     assert short_names(['a/b/r.yaml', 'c/b/r.yaml']) == ['a/b/r', 'c/b/r']

@@ -163,7 +163,8 @@ class Comparison:
 COLUMNS = (
     'name', 'start_utc', 'x_m', 'y_m', 'z_m', 'roll_deg', 'pitch_deg', 'yaw_deg', 'x_std_m',
     'y_std_m', 'z_std_m', 'rotation_x_std_deg', 'rotation_y_std_deg', 'rotation_z_std_deg',
-    'unobserved', 'residual_m', 'residual_deg', 'motions', 'findings', 'failure')
+    'unobserved', 'scale', 'time_offset_s', 'residual_m', 'residual_deg', 'motions', 'findings',
+    'failure')
 
 
 def row(entry: Entry) -> dict[str, Any]:
@@ -181,6 +182,7 @@ def row(entry: Entry) -> dict[str, Any]:
                              strict=True))
         cells.update(
             start_utc=result.start_utc, unobserved=', '.join(result.observability.unobserved),
+            scale=result.scale, time_offset_s=result.time_offset_s,
             residual_m=result.metrics.e_rt, residual_deg=float(np.rad2deg(result.metrics.e_rR)),
             motions=result.motions,
             findings=' '.join(dict.fromkeys(found.code for found in result.findings)))
@@ -323,7 +325,7 @@ def span_of(names: Sequence[str]) -> str:
     one, two = (re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in (first, last))
     if one and two and (one[1], one[3]) == (two[1], two[3]) and int(one[2]) < int(two[2]):
         return f'{one[1]}{one[2]}-{two[2]}{one[3]}'
-    return f'{first} ... {last}'
+    return f'{first}, {last}' if len(names) == 2 else f'{first} ... {last}'
 
 
 def short_names(paths: Sequence[str]) -> list[str]:

@@ -1,0 +1,83 @@
+"""``trajectory_calibration verify``, as a person calls it."""
+
+import json
+
+from cli_helpers import make_pair, rows, run, write_pair, write_pair_bag, X
+import numpy as np
+import pytest
+
+from trajectory_calibration import CalibrationResult
+from trajectory_calibration.geometry import se3
+
+
+def write_noisy(folder, seed, mounted=X, *, planar=False):
+    """Write a.tum and b.tum of a drive with noise; return their paths."""
+    stamps_ns, poses_a, poses_b = make_pair(planar=planar)
+    noise = se3.exp_se3(np.random.default_rng(seed).normal(size=(2, len(stamps_ns), 6))
+                        * ([2e-3] * 3 + [1e-3] * 3))
+    paths = []
+    for name, poses in (('a', poses_a @ noise[0]),
+                        ('b', poses_b @ se3.inverse(X) @ mounted @ noise[1])):
+        paths.append(folder / f'{name}{seed}.tum')
+        paths[-1].write_text('\n'.join(rows(stamps_ns, poses)[1]) + '\n')
+    return paths
+
+
+@pytest.fixture(scope='module')
+def saved(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('verify')
+    from trajectory_calibration.cli.main import main
+    a, b = write_noisy(folder, 1)
+    assert main(['calibrate', str(a), str(b), '--frame-a', 'lidar', '--frame-b', 'camera',
+                 '--output', str(folder), '--solver', 'dnl', '--quiet']) == 0
+    return folder / 'result.yaml'
+
+
+def test_it_holds_it_moved_and_nobody_can_tell(saved, tmp_path, capsys):
+    status, out, _ = run(capsys, 'verify', saved, *write_noisy(tmp_path, 2))
+    assert status == 0
+    assert out.startswith('holds')
+    assert 'a shift would have been noticed from: ' in out
+    step = [0.3, 0, 0, 0, 0, 0.1]
+    status, out, _ = run(capsys, 'verify', saved, *write_noisy(tmp_path, 3, se3.moved(X, step)))
+    assert status == 4
+    assert out.startswith('moved by +0.')
+    assert 'deg about z' in out
+    status, out, _ = run(capsys, 'verify', saved, *write_noisy(tmp_path, 4, planar=True))
+    assert status == 3
+    assert out.startswith('cannot tell z (needs: ')
+
+
+def test_json_has_the_verdict_and_the_new_result(saved, tmp_path, capsys):
+    status, out, _ = run(
+        capsys, 'verify', saved, *write_noisy(tmp_path, 2), '--format', 'json')
+    found = json.loads(out)
+    assert (status, found['exit_status'], found['verdict']) == (0, 0, 'holds')
+    assert CalibrationResult.from_dict(found['result']).frame_a == 'lidar'
+    # The settings are those of the saved result, unless others are given.
+    assert found['result']['solver'] == 'dnl'
+    _, out, _ = run(capsys, 'verify', saved, *write_noisy(tmp_path, 2), '--format', 'json',
+                    '--solver', 'park')
+    assert json.loads(out)['result']['solver'] == 'park'
+
+
+def test_topics_of_a_bag(tmp_path, capsys):
+    bag = write_pair_bag(tmp_path / 'x.mcap')
+    topics = '--bag', bag, '/lidar/odom', '/camera/pose'
+    run(capsys, 'calibrate', *topics, '--output', tmp_path / 'out')
+    status, out, err = run(capsys, 'verify', tmp_path / 'out' / 'result.yaml', *topics)
+    assert status == 0, out + err
+
+
+def test_files_in_exchange_are_named(saved, tmp_path, capsys):
+    a, b = write_noisy(tmp_path, 2)
+    status, out, _ = run(capsys, 'verify', saved, b, a)
+    assert status == 4
+    assert 'exchange A and B' in out
+
+
+def test_what_cannot_be_read_is_an_error(saved, tmp_path, capsys):
+    a, b, _ = write_pair(tmp_path)
+    assert run(capsys, 'verify', tmp_path / 'none.yaml', a, b)[0] == 1
+    assert run(capsys, 'verify', saved, a, tmp_path / 'none.tum')[0] == 1
+    assert run(capsys, 'verify', saved, a, a)[0] == 2
