@@ -52,7 +52,9 @@ def format_result(
         lines.append(f'  error against the ground truth: {error.e_at:.4f} m, '
                      f'{np.rad2deg(error.e_aR):.3f} deg{without}')
     lines += _legend(result, terminal)
-    findings = worst_first(result.findings)
+    # The marks show what is weak; other warnings are news.
+    findings = worst_first(sorted(
+        result.findings, key=lambda found: found.code == 'direction-weak'))
     shown = findings if verbose else findings[:_MOST_FINDINGS]
     if shown:
         lines.append('')

@@ -35,6 +35,10 @@ _RESIDUALS, _OF_A_SCALE, _LEAST_OF_A_SCALE = 4000, 600, 6
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # Parts of the path whose scale is compared.
 _SCALE_PARTS = 8
+# Seconds of the motions that tell the scale: the first that jumps leave half of, or the last.
+_SCALE_SECONDS = (2.0, 1.0, 0.5, 0.2)
+# A scale that is so many times as uncertain as the others is not shown.
+_VAGUE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +172,11 @@ def _of_motions(
 
 def _path_scale(tracks: Tracks) -> PathScale:
     """Compare the lengths of the motions of both over parts of the path."""
-    i, j = lagged(tracks, lag_of(tracks, 2.0), _RESIDUALS)
     empty = PathScale(np.zeros(0), np.zeros(0), np.zeros(0))
+    for seconds in _SCALE_SECONDS:
+        i, j = lagged(tracks, lag_of(tracks, seconds), _RESIDUALS)
+        if len(i) > 0.5 * min(len(tracks), _RESIDUALS):
+            break
     if len(i) < 5 * _SCALE_PARTS:
         return empty
     of_a, of_c = ((se3.inverse(poses[i]) @ poses[j])[:, :3, 3]
@@ -185,4 +192,9 @@ def _path_scale(tracks: Tracks) -> PathScale:
         left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
         overlap = max(1.0, float(np.mean(j - i)) / max(1, int(np.median(np.diff(i)))))
         found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
-    return PathScale(*np.array(found).T) if len(found) > 1 else empty
+    if not found:
+        return empty
+    seconds_, ratio, std = np.array(found).T
+    # Where a sensor hardly moves, its scale means nothing.
+    known = std <= max(_VAGUE * float(np.median(std)), 1e-4)
+    return PathScale(seconds_[known], ratio[known], std[known]) if known.sum() > 1 else empty

@@ -12,6 +12,8 @@ from trajectory_calibration.outputs.report.figures import label, limits, Plot
 AXES = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
 # A share of the range that the largest values may be cut off at.
 _MOST = 0.995
+# Jumps that are marked, the largest.
+_MOST_JUMPS = 80
 
 
 def unit_of(k: int) -> str:
@@ -54,7 +56,7 @@ def angle_over_time(data: ReportData) -> str:
 
 
 def _mark_jumps(plot: Plot, data: ReportData, high: float) -> None:
-    jumps = data.tracks.jumps
+    jumps = data.tracks.largest_jumps(_MOST_JUMPS)
     plot.dots(data.tracks.seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
 
 

@@ -9,7 +9,7 @@ from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
 from trajectory_calibration.outputs.report.sensors import sensor_view
 from trajectory_calibration.outputs.report.text import figure, legend, metres, section
-from trajectory_calibration.outputs.report.view3d import track_view
+from trajectory_calibration.outputs.report.view3d import MOST_JUMPS, track_view
 from trajectory_calibration.outputs.screen import reference_words
 
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')
@@ -31,8 +31,8 @@ def _tracks(data: ReportData) -> str:
     path = float(tracks.path_m[-1])
     share = f' ({100 * largest / path:.2g} % of {metres(path)} driven)' if path > 0 else ''
     a, b = result.frame_a, result.frame_b
-    key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', 'jump'),
-                 ('gap', 'gap'))
+    dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'
+    key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', dots), ('gap', 'gap'))
     jumps = (f'{len(tracks.jumps)} jumps were excluded'
              if len(tracks.jumps) else 'no jump was found')
     reading = (f'The tracks are {metres(usual)} apart in the median and {metres(largest)} at '
@@ -75,6 +75,7 @@ def _motion(data: ReportData) -> str:
     where = ('b lies in the ellipse with 95 % probability.' if not unobserved else
              f'{", ".join(unobserved)} of b in a is unknown.')
     key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
+    sensors = legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}'))
     growth = data.parts.growth_std
     flat = ''
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
@@ -97,11 +98,13 @@ def _motion(data: ReportData) -> str:
                  legend=key)
         + figure('Sensors seen along z of a', sensor_view(data, 0, 1), where,
                  'b where you mounted it, in an ellipse smaller than the axes',
-                 'an ellipse as large as the distance, or a stripe')
+                 'an ellipse as large as the distance, or a stripe', legend=sensors)
         + figure('Sensors seen along y of a', sensor_view(data, 0, 2), where,
-                 'b where you mounted it', 'an upright stripe: the height was not excited')
+                 'b where you mounted it', 'an upright stripe: the height was not excited',
+                 legend=sensors)
         + figure('Sensors seen along x of a', sensor_view(data, 1, 2), where,
-                 'b where you mounted it', 'b on the wrong side, or a stripe'))
+                 'b where you mounted it', 'b on the wrong side, or a stripe',
+                 legend=sensors))
     return section(2, 'Was the motion enough?', figures)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 
 import numpy as np
 
@@ -49,8 +48,8 @@ def sensor_view(data: ReportData, first: int, second: int) -> str:
         parts.append(f'<path class="ellipse" d="{path(drawn[:, 0], drawn[:, 1])}Z"/>')
     line = place(np.array([[0.0, 0.0], t]))
     parts.append(f'<path class="lever" d="{path(line[:, 0], line[:, 1])}"/>')
-    parts += _frame(place, np.zeros(2), np.eye(3)[axes], arm, 'a', result.frame_a)
-    parts += _frame(place, t, result.T_a_b[:3, :3][axes], 0.75 * arm, 'b', result.frame_b,
+    parts += _frame(place, np.zeros(2), np.eye(3)[axes], arm, 'a')
+    parts += _frame(place, t, result.T_a_b[:3, :3][axes], 0.75 * arm, 'b',
                     lettered=float(np.linalg.norm(t)) > 1.5 * arm)
     if larger > 1 and size > 0:
         parts.append(f'<text class="note" x="{_WIDTH - 6}" y="14" text-anchor="end">'
@@ -98,12 +97,10 @@ def _unknown_band(at: FloatArray, unknown: list[bool]) -> list[str]:
 
 def _frame(
     place: Callable[[FloatArray], FloatArray], origin: FloatArray, axes: FloatArray,
-    arm: float, sensor: str, name: str,
-    *, lettered: bool = True,
+    arm: float, sensor: str, *, lettered: bool = True,
 ) -> list[str]:
-    """Return the three axes of a sensor and its name; an axis towards the reader is a dot."""
+    """Return the three axes of a sensor; an axis towards the reader is a dot."""
     start = place(origin)[0]
-    is_a = sensor == 'a'
     parts = []
     for k in range(3):
         end = place(origin + arm * axes[:, k])[0]
@@ -115,10 +112,7 @@ def _frame(
             out = start + (end - start) * (1 + 9 / np.linalg.norm(end - start))
             parts.append(f'<text class="note mini" x="{out[0]:.1f}" y="{out[1] + 3:.1f}" '
                          f'text-anchor="middle">{"xyz"[k]}</text>')
-    parts.append(f'<circle class="dot-{sensor}" cx="{start[0]:.1f}" cy="{start[1]:.1f}" r="4"/>'
-                 f'<text class="name-{sensor}" x="{start[0] + (-8 if is_a else 8):.1f}" '
-                 f'y="{start[1] + (15 if is_a else -9):.1f}" '
-                 f'text-anchor="{"end" if is_a else "start"}">{escape(name[-28:])}</text>')
+    parts.append(f'<circle class="dot-{sensor}" cx="{start[0]:.1f}" cy="{start[1]:.1f}" r="4"/>')
     return parts
 
 

@@ -52,6 +52,13 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.seconds)
 
+    def largest_jumps(self, count: int) -> NDArray[np.intp]:
+        """Return the indices of at most so many jumps, those in which the tracks part most."""
+        p = np.stack([self.pairs.poses_a[:, :3, 3], self.poses_c[:, :3, 3]])
+        step = p[:, self.jumps] - p[:, self.jumps - 1]
+        apart = np.linalg.norm(step[0] - step[1], axis=1)
+        return np.sort(self.jumps[np.argsort(-apart, kind='stable')[:count]])
+
     @property
     def usable(self) -> NDArray[np.bool_]:
         """(K - 1,) steps without a jump."""

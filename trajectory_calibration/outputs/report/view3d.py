@@ -14,7 +14,9 @@ from trajectory_calibration.outputs.report.tracks import Tracks
 # Poses of a track that are drawn, and steps of the grid in which they are written.
 _POSES, _GRID = 900, 4000
 _WIDTH, _HEIGHT, _MARGIN = 720, 430, 24
-_MOST_JUMPS = 300
+_MOST_GAPS = 300
+# Jumps that are drawn, the largest.
+MOST_JUMPS = 80
 
 
 def track_view(tracks: Tracks) -> str:
@@ -25,7 +27,7 @@ def track_view(tracks: Tracks) -> str:
     both = np.concatenate([a[keep], c[keep]])
     low, high = both.min(axis=0), both.max(axis=0)
     middle, size = 0.5 * (low + high), max(float((high - low).max()), 1e-6)
-    jumps = tracks.jumps[:_MOST_JUMPS]
+    jumps = tracks.largest_jumps(MOST_JUMPS)
     gaps = np.searchsorted(keep, tracks.gaps)
     numbers = {
         'size': size,
@@ -52,7 +54,7 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
 
 def _kept(tracks: Tracks) -> FloatArray:
     """Return the indices of poses that are drawn, with both ends of each jump and gap."""
-    ends = np.concatenate([tracks.jumps[:_MOST_JUMPS], tracks.gaps[:_MOST_JUMPS]])
+    ends = np.concatenate([tracks.largest_jumps(MOST_JUMPS), tracks.gaps[:_MOST_GAPS]])
     ends = np.concatenate([ends, ends - 1, ends + 1])
     ends = ends[(ends >= 0) & (ends < len(tracks))]
     return np.unique(np.concatenate([evenly(len(tracks), _POSES), ends]))
@@ -96,7 +98,7 @@ def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
         if len(ends):
             data = ''.join(path(drawn[[k, k + 1], 0], drawn[[k, k + 1], 1]) for k in ends)
             parts.append(f'<path class="{style} dashed" d="{data}"/>')
-    for px, py in place(c[tracks.jumps[:_MOST_JUMPS]]):
+    for px, py in place(c[tracks.largest_jumps(MOST_JUMPS)]):
         parts.append(f'<circle class="jump" cx="{px:.1f}" cy="{py:.1f}" r="3.4"/>')
     (px, py), = place(a[:1])
     parts.append(f'<circle class="start" cx="{px:.1f}" cy="{py:.1f}" r="5"/>'
