@@ -57,6 +57,15 @@ def test_what_is_unobserved_is_no_number():
 def test_an_unobserved_rotation_hides_the_quaternion():
     words = format_transform(make(status={'rotation z': 'unobserved'})).split()
     assert words[3:] == ['unknown'] * 4
+    text = format_result(make(status={'rotation z': 'unobserved'}), verbose=True)
+    assert next(line for line in text.splitlines() if 'quaternion' in line).endswith(' unknown')
+
+
+def test_verbose_says_which_poses_were_not_used():
+    result = make()
+    summary = replace(result.association, in_gaps=2, between=35)
+    text = format_result(replace(result, association=summary), verbose=True)
+    assert 'unused poses of b: 2 in gaps, 35 between poses' in ' '.join(text.split())
 
 
 @pytest.mark.parametrize('axis, name', [(0, 'pitch'), (1, 'yaw'), (2, 'yaw')])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
+from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, digits_of, number, Row
@@ -124,8 +125,9 @@ def _finding(found: Finding, terminal: Terminal) -> list[str]:
 def _details(result: CalibrationResult) -> dict[str, str]:
     """Return how the answer was made, by the name of each thing."""
     a, b = result.frame_a, result.frame_b
-    rows = {'quaternion': _named(
-        se3.rotation_to_quaternion(result.T_a_b[:3, :3]), 'xyzw', 6)}
+    is_known = not any(name.startswith('rotation') for name in result.observability.unobserved)
+    rows = {'quaternion': _named(se3.rotation_to_quaternion(result.T_a_b[:3, :3]), 'xyzw', 6)
+            if is_known else 'unknown'}
     if result.covariance is not None:
         words = [f'{name} {word}' for name, word in zip(
             'xyzxyz', deviation_words(result.covariance), strict=True)]
@@ -229,7 +231,15 @@ def _describe_data(result: CalibrationResult) -> str:
     how = (f'{one} interpolated at the stamps of {other}' if summary.method == 'interpolate'
            else 'nearest stamps')
     return (f'{result.poses} pose pairs ({how}) of {summary.poses_a} and '
-            f'{summary.poses_b} poses, {result.motions} motions{kept}')
+            f'{summary.poses_b} poses, {result.motions} motions{kept}{_unused(summary, other)}')
+
+
+def _unused(summary: AssociationSummary, sensor: str) -> str:
+    """Return how many poses of the sensor whose stamps were used have no partner, and why."""
+    reasons = ((summary.in_gaps, 'in gaps'), (summary.outside, 'outside the common time'),
+               (summary.between, 'between poses'))
+    words = [f'{count} {reason}' for count, reason in reasons if count]
+    return f'; unused poses of {sensor}: {", ".join(words)}' if words else ''
 
 
 def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
