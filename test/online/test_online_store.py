@@ -45,6 +45,18 @@ def test_every_result_gets_a_file_of_its_own_and_the_newest_is_found(tmp_path, r
     assert np.allclose(loaded.T_a_b, result.T_a_b, atol=1e-15)
 
 
+def test_the_exports_of_a_result_lie_beside_it_and_are_no_results(tmp_path, result):
+    store = ResultStore(str(tmp_path), '/node')
+    named = replace(result, frame_a='lidar', frame_b='camera')
+    path = store.save(named)
+    folder = store.export(named, path)
+    assert folder == path.with_suffix('')
+    assert '<child link="camera"/>' in (folder / 'extrinsic.urdf').read_text()
+    assert store.latest()[0] == path
+    with pytest.raises(ConfigError, match='its own parent'):
+        store.export(replace(result, frame_a='x', frame_b='x'), path)
+
+
 def test_nodes_that_share_a_folder_do_not_mix_their_results(tmp_path, result):
     ResultStore(str(tmp_path), '/front/node').save(result)
     assert ResultStore(str(tmp_path), '/rear/node').latest() is None

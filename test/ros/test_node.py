@@ -557,7 +557,7 @@ def test_results_are_saved_and_restored(tmp_path):
         extrinsic_shown = client.value('calibration', 'extrinsic')
         node.stop()
     assert not too_early.success and 'nothing to save' in too_early.message
-    first, second = sorted(folder.iterdir())
+    first, second = sorted(folder.glob('*.yaml'))
     assert answer.success
     # A line for each thing, apart even where `ros2 service call` prints a break as an escape.
     text, _, machine = answer.message.rpartition('\n')
@@ -570,7 +570,10 @@ def test_results_are_saved_and_restored(tmp_path):
     assert (found['frame_a'], found['frame_b']) == ('lidar', 'camera')
     assert np.allclose(found['translation_m'], ros.T_A_B[:3, 3], atol=1e-10)
     assert extrinsic_shown == lines[0]
-    assert again.success and again.message == f'saved in {second}'
+    exports = second.with_suffix('')
+    assert again.success
+    assert again.message == f'saved in {second}; URDF and other exports in {exports}'
+    assert 'lidar_to_camera' in (exports / 'extrinsic.urdf').read_text()
     # What a power cut may leave must not keep the vehicle from its last good result.
     second.write_text(second.read_text()[:100])
     # Files are named after the node: the same one finds its own.

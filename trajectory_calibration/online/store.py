@@ -10,6 +10,7 @@ import re
 
 from trajectory_calibration.config.yaml_file import write_yaml
 from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.outputs.exports import write_exports
 from trajectory_calibration.result import CalibrationResult
 
 # Bytes of a file that is read. A result has a few thousand; one with half of 1,000,000 motions
@@ -73,6 +74,21 @@ class ResultStore:
                 write_yaml(path, result.to_dict(), overwrite=False)
                 break
         return path
+
+    def export(self, result: CalibrationResult, path: Path) -> Path:
+        """Write every export of a saved result into a folder named as its file; return the folder.
+
+        Raises
+        ------
+        ConfigError
+            Both frames have one name.
+        ResultError
+            The folder cannot be written.
+
+        """
+        folder = path.with_suffix('')
+        write_exports(result, folder)
+        return folder
 
     def latest(self) -> tuple[Path, CalibrationResult] | None:
         """Return the newest result that can be read, with its file; None where there is none.

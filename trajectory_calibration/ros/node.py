@@ -222,13 +222,19 @@ class CalibrationNode(Node):
         elif self._store is None:
             response.message = 'result_directory is empty; start the node with a folder'
         else:
-            response.success, response.message = self._save(self._store, self._state.result)
+            response.success, response.message = self._save(
+                self._store, self._state.result, exports=True)
         return response
 
-    def _save(self, store: ResultStore, result: CalibrationResult) -> tuple[bool, str]:
+    def _save(
+        self, store: ResultStore, result: CalibrationResult, *, exports: bool = False,
+    ) -> tuple[bool, str]:
         """Save a result; return whether that succeeded, and a sentence."""
         try:
-            return True, f'saved in {store.save(result)}'
+            path = store.save(result)
+            if not exports or result.frame_a == result.frame_b:
+                return True, f'saved in {path}'
+            return True, f'saved in {path}; URDF and other exports in {store.export(result, path)}'
         except ResultError as error:
             self.get_logger().error(str(error))
             return False, f'not saved: {error}'
