@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 import json
 from pathlib import Path
+import shlex
 import sys
 
 from trajectory_calibration.cli import exit_status
@@ -76,6 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name, sensor in RigResult.load(arguments.ground_truth).sensors.items()}
     earlier = None if arguments.verify is None else RigResult.load(arguments.verify)
     trajectories: Mapping[str, Trajectory] = {}
+    sources: list[tuple[str, Path]] = []
     if arguments.from_results is not None:
         rig = _from_results(arguments)
     elif arguments.rig is None:
@@ -84,6 +86,9 @@ def run(arguments: argparse.Namespace) -> int:
         description = RigDescription.load(arguments.rig)
         bags = [*description.bags, *map(Path, arguments.bag)]
         config = _configured(description.config, arguments)
+        sources = [('bag', bag) for bag in bags] + [
+            (name, Path(source)) for name, (source, _) in description.inputs.items()
+            if Path(source).is_file()]
         with progress_bar('reading') as progress:
             trajectories = load_inputs(description.inputs, bags, progress if bags else None)
         with running_clock('calibrating'):
@@ -97,8 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         rig.save(arguments.output / RIG_FILE)
         write_rig_exports(rig, arguments.output)
     if arguments.report is not None:
-        from trajectory_calibration.outputs.rig_report import render_rig
-        write_text(arguments.report, render_rig(rig, trajectories), ResultError)
+        _write_report(rig, trajectories, sources, arguments)
     _print(rig, truth, arguments)
     if earlier is not None:
         comparison = compare_rigs(earlier, rig)
@@ -107,6 +111,18 @@ def run(arguments: argparse.Namespace) -> int:
         if not comparison.holds:
             return exit_status.CHANGED
     return exit_status.OPEN if rig.unobserved else exit_status.DONE
+
+
+def _write_report(
+    rig: RigResult, trajectories: Mapping[str, Trajectory], sources: list[tuple[str, Path]],
+    arguments: argparse.Namespace,
+) -> None:
+    from trajectory_calibration.outputs.report import hash_inputs, Record
+    from trajectory_calibration.outputs.rig_report import render_rig
+    command = shlex.join(['trajectory_calibration', *arguments.argv])
+    with running_clock('writing the report'):
+        text = render_rig(rig, trajectories, Record(command, hash_inputs(sources)))
+    write_text(arguments.report, text, ResultError)
 
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:

@@ -207,7 +207,9 @@ def _of_answers(
         sensors=ordered, covariance=_block_diagonal(blocks), free=tuple(free),
         pairs=tuple(reports.values()), contradictions=tuple(contradictions),
         chi_squared=chi_squared, degrees=degrees, p_value=p_value,
-        findings=_findings(ordered, groups, contradictions, p_value), config=config)
+        findings=worst_first((
+            *_findings(ordered, groups, contradictions, p_value), *_of_pairs(solved))),
+        config=config)
 
 
 def _connected(names: Sequence[str], solved: Sequence[PairAnswer]) -> list[list[str]]:
@@ -443,7 +445,16 @@ def _findings(
         found.append(Finding('rig-loops', (
             f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '
             'standard deviations are too small'), {'p_value': p_value}))
-    return worst_first(found)
+    return tuple(found)
+
+
+def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
+    """Return what is serious about single pairs and said nowhere else."""
+    return tuple(
+        replace(found, text=f'{answer.parent} - {answer.child}: {found.text}')
+        for answer in answers if answer.result is not None
+        for found in answer.result.findings
+        if found.level == 'serious' and found.code != 'direction-unobserved')
 
 
 def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:

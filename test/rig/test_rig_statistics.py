@@ -1,0 +1,44 @@
+"""Rigs over seeds, thinned: ``python -m benchmarks.rig`` has the long ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
+from trajectory_calibration.simulation.noise import Noise
+from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
+from trajectory_calibration.simulation.scenario import Sensor
+
+pytestmark = pytest.mark.statistical
+
+FREE = RigConfig(sensors={'mono': SensorSettings(scale='free')})
+
+
+def test_joint_covariance_is_honest():
+    nees, inside = [], []
+    for seed in range(8):
+        run = simulate_rig(rig_scenario(3, 60.0), seed)
+        rig = calibrate_rig(run.trajectories, FREE)
+        error = np.concatenate([se3.step_between(
+            run.T_base_sensor[name], rig.sensors[name].T_base_sensor) for name in rig.free])
+        nees.append(error @ np.linalg.solve(rig.covariance, error) / len(error))
+        inside.append(np.abs(error) < 1.96 * np.sqrt(np.diagonal(rig.covariance)))
+        assert all(item.kind == 'clock' for item in rig.contradictions)
+    # 96 numbers; the errors of one seed go together.
+    assert 0.5 < np.mean(nees) < 1.6
+    assert np.mean(inside) > 0.88
+
+
+def test_faults_are_named():
+    slam = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
+    base = RigScenario({name: Sensor(noise=slam) for name in 'abcd'}, 90.0)
+    wanted = {'moved': Fault(moved=0.05), 'clock': Fault(late=0.08),
+              'vehicle': Fault(elsewhere=True)}
+    for kind, fault in wanted.items():
+        for seed in range(3):
+            culprit = 'abcd'[(seed + 1) % 4]
+            run = simulate_rig(replace(base, faults={culprit: fault}), 50 + seed)
+            rig = calibrate_rig(run.trajectories)
+            assert [(item.sensor, item.kind) for item in rig.contradictions] == [(culprit, kind)]
