@@ -37,6 +37,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'orientation-jumps': ('warning', 'the sensors turned apart within single steps'),
     'other': ('warning', 'a finding of another version, or of a solver from another package'),
     'pose-jumps': ('note', 'pose jumps were found and excluded'),
+    'position-latency': ('note', 'the position of one sensor is late; corrected'),
     'poses-identical': ('serious', 'both sensors report the same poses'),
     'poses-lost': ('note', 'poses that the SLAM wrote while it was lost were dropped'),
     'prior-contradicts': ('serious', 'the prior is far from the answer of the motion'),

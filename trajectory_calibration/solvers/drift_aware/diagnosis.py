@@ -10,15 +10,27 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
+from trajectory_calibration.solvers.drift_aware.drive import (
+    correct,
+    DRIFT,
+    LATENCY,
+    OFFSET,
+    residuals,
+    SCALE,
+)
 from trajectory_calibration.solvers.drift_aware.fit import Fit
-from trajectory_calibration.solvers.drift_aware.model import columns_of, TERM_COLUMNS
 
-# A step is named a jump from this probability on.
-_JUMP_PROBABILITY = 0.9
 # A scale that far from one is no percentage any more.
 _ANOTHER_UNIT = 0.3
-# Jumps that a warning names; the diagnosis holds all of them.
+# Jumps that a finding names; the diagnosis holds all of them.
 _NAMED_JUMPS = 3
+# A term is a finding from so many standard deviations on, and from a size that matters.
+_SIGNIFICANT = 3.0
+_SMALLEST_SCALE = 0.002
+_SMALLEST_DRIFT = 0.005
+_SMALLEST_TIME_S = 0.005
+_SMALLEST_LATENCY_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -44,13 +56,15 @@ class Diagnosis:
     Attributes
     ----------
     white_m, white_rad : standard deviation of the white noise of a pose, for each sensor.
-    walk_m, walk_rad : of the drift after one metre; it grows with the root of the distance.
-    walk_turn_m, walk_turn_rad : of the drift of a turn, per radian.
+    walk_m, walk_rad : of what both drift apart in a metre; it grows with the root of the way.
     jumps : steps in which the trajectories part, the largest first.
     scale, scale_deviation : metres of a per metre of b; the deviation is None where the scale
-        was not estimated. Likewise the following.
+        was fixed. Likewise the following.
     time_offset_s, time_offset_deviation_s : added to the stamps of b, on top of the setting.
     systematic_drift, systematic_drift_deviation : metres per metre along x, y, z of b.
+    latency_s, latency_deviation_s : by which the position of b is older than its attitude; below
+        zero where that of a is.
+    saturation : rho, the correlation of the noise at short times with the motion.
 
     """
 
@@ -58,8 +72,6 @@ class Diagnosis:
     white_rad: float
     walk_m: float
     walk_rad: float
-    walk_turn_m: float
-    walk_turn_rad: float
     jumps: tuple[Jump, ...]
     scale: float
     scale_deviation: float | None
@@ -67,6 +79,9 @@ class Diagnosis:
     time_offset_deviation_s: float | None
     systematic_drift: tuple[float, ...]
     systematic_drift_deviation: tuple[float, ...] | None
+    latency_s: float
+    latency_deviation_s: float
+    saturation: float
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON or YAML."""
@@ -76,79 +91,122 @@ class Diagnosis:
 def diagnose(
     fit: Fit, covariance: FloatArray, stamps_ns: NDArray[np.int64], unit: float = 1.0,
 ) -> Diagnosis:
-    """Collect the identified noise and terms; ``covariance`` is (m, m), stamps are (N,).
+    """Collect the identified noise and terms; ``covariance`` is (12, 12), stamps are (N,).
 
     The fit was to positions of b that were multiplied by ``unit``.
     """
     deviation = np.sqrt(np.diag(covariance))
-    columns = columns_of(fit.terms)
-
-    def deviations(name: str) -> tuple[float, ...] | None:
-        wanted = TERM_COLUMNS[name]
-        found = deviation[(columns >= wanted.start) & (columns < wanted.stop)]
-        return tuple(found.tolist()) or None
-
-    scale, offset = deviations('scale'), deviations('time_offset')
-    noise = np.sqrt(fit.noise.variances).tolist()
+    terms = fit.state.terms
+    scale = unit * float(np.exp(terms[SCALE - 6]))
+    white, walk = _white_and_walk(fit)
     return Diagnosis(
-        white_m=noise[0],
-        white_rad=noise[1],
-        walk_m=noise[2],
-        walk_rad=noise[3],
-        walk_turn_m=noise[4],
-        walk_turn_rad=noise[5],
+        white_m=float(white[0]),
+        white_rad=float(white[1]),
+        walk_m=float(walk[0]),
+        walk_rad=float(walk[1]),
         jumps=_jumps(fit, stamps_ns),
-        scale=unit * fit.state.scale,
-        scale_deviation=unit * scale[0] if scale else None,
-        time_offset_s=fit.state.time_offset,
-        time_offset_deviation_s=offset[0] if offset else None,
-        systematic_drift=tuple(fit.state.systematic_drift.tolist()),
-        systematic_drift_deviation=deviations('systematic_drift'),
+        scale=scale,
+        scale_deviation=scale * float(deviation[SCALE]) if fit.free[SCALE] else None,
+        time_offset_s=float(terms[OFFSET - 6]),
+        time_offset_deviation_s=float(deviation[OFFSET]) if fit.free[OFFSET] else None,
+        systematic_drift=tuple((-terms[1:4]).tolist()),
+        systematic_drift_deviation=(
+            tuple(deviation[DRIFT].tolist()) if fit.free[DRIFT].all() else None),
+        latency_s=float(terms[LATENCY - 6]),
+        latency_deviation_s=float(deviation[LATENCY]),
+        saturation=fit.rho,
     )
 
 
+def _white_and_walk(fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return (2,) deviations of white noise of one sensor, and of the walk after a metre.
+
+    A walk of variance q a step makes D = 2^octave q / 2, and adds q / 2 to the white noise.
+    """
+    n = np.bincount(fit.tree.octave, minlength=fit.tree.octaves)
+    above = np.arange(1, fit.tree.octaves)
+    of_walk = np.zeros(2)
+    if len(above):
+        rate = fit.noise.walk[above] / 2.0**above[:, None]
+        of_walk = (n[above, None] * rate).sum(axis=0) / max(n[above].sum(), 1)
+    white = np.maximum(fit.noise.white - of_walk, 0.0)
+    way = np.linalg.norm(fit.drive.step_b, axis=1).mean()
+    # The white noise is of a pair of poses; that of each sensor has half of the variance.
+    return np.sqrt(white / 2), np.sqrt(2 * of_walk / max(way, 1e-12))
+
+
 def _jumps(fit: Fit, stamps_ns: NDArray[np.int64]) -> tuple[Jump, ...]:
-    k = np.flatnonzero((fit.noise.jump_probability > _JUMP_PROBABILITY).any(axis=1))
-    size = np.sqrt(fit.evaluation.walk_squares[k])
-    order = np.argsort(-fit.evaluation.walk_squares[k].sum(axis=1), kind='stable')
-    return tuple(
-        Jump(int(stamps_ns[k[i] + 1]), float(size[i, 0]), float(size[i, 1])) for i in order)
+    k = np.flatnonzero((fit.jumps > 0).any(axis=1) & ~fit.drive.gap)
+    e = residuals(fit.drive, correct(fit.drive, fit.state), k, k + 1)
+    size = np.stack([np.linalg.norm(e[:, part], axis=1) for part in (TRANSLATION, ROTATION)])
+    order = np.lexsort((-size[1], -size[0]))
+    return tuple(Jump(int(stamps_ns[k[i] + 1]), float(size[0, i]), float(size[1, i]))
+                 for i in order)
 
 
-def findings_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+def findings_of(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
     """Put into sentences what a person should know of the data."""
-    found = []
-    off = diagnosis.scale - 1
-    known = ('' if diagnosis.scale_deviation is None
-             else f' (+- {diagnosis.scale_deviation / diagnosis.scale:.2%})')
+    return (*_of_scale(diagnosis), *_of_times(diagnosis), *_of_drift(diagnosis),
+            *_of_jumps(diagnosis, start_ns))
+
+
+def _proven(value: float, deviation: float | None, smallest: float) -> bool:
+    return deviation is not None and abs(value) > max(_SIGNIFICANT * deviation, smallest)
+
+
+def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    scale, deviation = diagnosis.scale, diagnosis.scale_deviation
+    off = scale - 1
+    known = '' if deviation is None else f' (+- {deviation / scale:.2%})'
     if abs(off) > _ANOTHER_UNIT:
-        found.append(Finding(
+        return (Finding(
             'scale-unit', 'b is in another unit of length: its positions were multiplied by '
-            f'{diagnosis.scale:.6g}{known}', {'scale': diagnosis.scale}))
-    elif known:
+            f'{scale:.6g}{known}', {'scale': scale}),)
+    if not _proven(off, deviation, _SMALLEST_SCALE):
+        return ()
+    return (Finding(
+        'scale', f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
+        'b was corrected', {'scale': scale}),)
+
+
+def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    found = []
+    offset, deviation = diagnosis.time_offset_s, diagnosis.time_offset_deviation_s
+    if deviation is not None and _proven(offset, deviation, _SMALLEST_TIME_S):
         found.append(Finding(
-            'scale', f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
-            'b was corrected', {'scale': diagnosis.scale}))
-    if diagnosis.time_offset_deviation_s is not None:
-        deviation = 1e3 * diagnosis.time_offset_deviation_s
-        # A long drive tells microseconds: no deviation of +- 0.0.
-        digits = 1 if deviation >= 0.1 else 4
+            'clock-offset', f'clock offset {1e3 * offset:+.1f} ms (+- {1e3 * deviation:.1f} ms) '
+            'added to the stamps of b', {'offset_s': offset}))
+    latency, deviation = diagnosis.latency_s, diagnosis.latency_deviation_s
+    if _proven(latency, deviation, _SMALLEST_LATENCY_S):
+        which = 'b' if latency > 0 else 'a'
         found.append(Finding(
-            'clock-offset', f'clock offset {1e3 * diagnosis.time_offset_s:+.{digits}f} ms'
-            f' (+- {deviation:.{digits}f} ms) added to the stamps of b',
-            {'offset_s': diagnosis.time_offset_s}))
-    if diagnosis.systematic_drift_deviation is not None:
-        x, y, z = (f'{value:+.2%}' for value in diagnosis.systematic_drift)
-        found.append(Finding(
-            'systematic-drift', f'b drifts by {x}, {y}, {z} of the distance along its x, y, z: '
-            'corrected', {'drift_per_metre': list(diagnosis.systematic_drift)}))
-    if diagnosis.jumps:
-        named = ', '.join(
-            f'{jump.translation_m:.2g} m and {np.rad2deg(jump.rotation_rad):.2g} deg at '
-            f'{jump.stamp_ns * 1e-9:.3f} s' for jump in diagnosis.jumps[:_NAMED_JUMPS])
-        found.append(Finding(
-            'pose-jumps', f'{len(diagnosis.jumps)} pose jumps excluded (relocalisation or loop '
-            f'closure?). Largest: {named}', {
-                'jumps': len(diagnosis.jumps),
-                'largest_m': max(jump.translation_m for jump in diagnosis.jumps)}))
+            'position-latency', f'the position of {which} is older than its orientation by '
+            f'{1e3 * abs(latency):.0f} ms (+- {1e3 * deviation:.0f} ms): corrected',
+            {'latency_s': latency}))
     return tuple(found)
+
+
+def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    drift, deviations = diagnosis.systematic_drift, diagnosis.systematic_drift_deviation
+    if deviations is None or not any(
+            _proven(value, own, _SMALLEST_DRIFT)
+            for value, own in zip(drift, deviations, strict=True)):
+        return ()
+    x, y, z = (f'{value:+.2%}' for value in drift)
+    return (Finding(
+        'systematic-drift', f'b drifts by {x}, {y}, {z} of the distance along its x, y, z: '
+        'corrected', {'drift_per_metre': list(drift)}),)
+
+
+def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
+    jumps = diagnosis.jumps
+    if not jumps:
+        return ()
+    named = ', '.join(
+        f'{jump.translation_m:.2g} m and {np.rad2deg(jump.rotation_rad):.2g} deg at '
+        f'{(jump.stamp_ns - start_ns) * 1e-9:.1f} s' for jump in jumps[:_NAMED_JUMPS])
+    return (Finding(
+        'pose-jumps', f'{len(jumps)} pose jumps excluded (relocalisation or loop closure?). '
+        f'Largest, by seconds from the start: {named}', {
+            'jumps': len(jumps), 'largest_m': max(jump.translation_m for jump in jumps),
+            'stamps_ns': [jump.stamp_ns for jump in jumps]}),)

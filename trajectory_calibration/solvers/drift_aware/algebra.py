@@ -1,0 +1,88 @@
+"""Small matrices by the thousand: rotations, adjoints and products without a loop."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.geometry.se3 import FloatArray, log_so3, skew
+
+# Components of a twist: (translation, rotation), both in the axes of the body.
+TRANSLATION, ROTATION = slice(0, 3), slice(3, 6)
+
+# Below this squared angle the series of ``log`` is exact to rounding of what is noise anyway.
+_SMALL = 0.01
+
+# What a matrix of unit diagonal does not know better than this.
+_ROUNDING = 1e-13
+
+
+def transposed(matrices: FloatArray) -> FloatArray:
+    """Return (..., k, j) of (..., j, k)."""
+    return np.swapaxes(matrices, -1, -2)
+
+
+def apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return (n, j): (n, j, k) matrices times (n, k) vectors."""
+    result: FloatArray = (matrices @ vectors[..., None])[..., 0]
+    return result
+
+
+def exp(vectors: FloatArray) -> FloatArray:
+    """Return (n, 3, 3) rotations of (n, 3) rotation vectors."""
+    square = (vectors**2).sum(axis=-1)[..., None, None]
+    angle = np.sqrt(square)
+    small = square < 1e-8
+    safe = np.where(small, 1.0, angle)
+    hat = skew(vectors)
+    first = np.where(small, 1 - square / 6, np.sin(safe) / safe)
+    second = np.where(small, 0.5 - square / 24, (1 - np.cos(safe)) / safe**2)
+    result: FloatArray = np.eye(3) + first * hat + second * (hat @ hat)
+    return result
+
+
+def log(rotations: FloatArray) -> FloatArray:
+    """Return (n, 3) rotation vectors of (n, 3, 3) rotations; fast where all are small."""
+    half = 0.5 * np.stack([
+        rotations[..., 2, 1] - rotations[..., 1, 2],
+        rotations[..., 0, 2] - rotations[..., 2, 0],
+        rotations[..., 1, 0] - rotations[..., 0, 1]], axis=-1)
+    square = (half**2).sum(axis=-1)
+    trace = np.trace(rotations, axis1=-2, axis2=-1)
+    if len(square) and (square.max() > _SMALL or trace.min() < 1.0):
+        return log_so3(rotations)
+    # arcsin(s) / s = 1 + s^2 / 6 + 3 s^4 / 40 + 15 s^6 / 336 + ...
+    series = 1 + square * (1 / 6 + square * (3 / 40 + square * (15 / 336 + square * 35 / 1152)))
+    result: FloatArray = half * series[..., None]
+    return result
+
+
+def adjoint_of_inverse(rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    """Return (n, 6, 6) Ad of T^-1, for T of (n, 3, 3) and (n, 3): what a twist is after T."""
+    back = transposed(rotations)
+    result = np.zeros((len(back), 6, 6))
+    result[:, TRANSLATION, TRANSLATION] = back
+    result[:, ROTATION, ROTATION] = back
+    result[:, TRANSLATION, ROTATION] = -back @ skew(translations)
+    return result
+
+
+def running_product(rotations: FloatArray) -> FloatArray:
+    """Return (n, 3, 3): R_0, R_0 R_1, R_0 R_1 R_2, ..., in log2(n) sweeps."""
+    result = rotations.copy()
+    reach = 1
+    while reach < len(result):
+        result[reach:] = result[:-reach] @ result[reach:]
+        reach *= 2
+    return result
+
+
+def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return x of ``matrix x = right`` for a positive semidefinite (m, m); open directions zero.
+
+    Columns are scaled to one first; what is then below rounding is no information.
+    """
+    diagonal = np.diag(matrix)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    unit = matrix * np.outer(scale, scale) + _ROUNDING * np.eye(len(matrix))
+    result = np.linalg.solve(unit, right * scale[:, None] if right.ndim > 1 else right * scale)
+    return np.asarray(result * scale[:, None] if right.ndim > 1 else result * scale)

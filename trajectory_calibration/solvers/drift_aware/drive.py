@@ -1,0 +1,209 @@
+"""Two trajectories, and what is steadily wrong with them: the mean of the model.
+
+All that enters is relative to the first pose of each sensor, so that neither world matters.
+``terms`` are what may be steadily wrong, every one always in the model (``TERMS``):
+
+====================  =====  ==========================================================
+term                  prior  meaning
+====================  =====  ==========================================================
+scale                 1 %    log of metres of a per metre of b
+drift x, y, z         0.2 %  metres that b truly moves less per metre, along its axes
+latency               5 ms   the position of b is older than its attitude by this
+clock offset          5 ms   added to the stamps of b
+====================  =====  ==========================================================
+
+The priors are Cauchy distributions of that half width: what good sensors do, with tails that
+reach a wheel odometry of 5 % where the data insist. Sources: scale and drift per metre of the
+odometry tables of KITTI (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012,
+doi:10.1109/CVPR.2012.6248074: 0.2 to 1 % per metre, mostly along the way); latencies of
+loosely coupled filters and of stamps at arrival, 5 to 100 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_translation
+from trajectory_calibration.solvers.drift_aware.algebra import (
+    apply,
+    exp,
+    log,
+    ROTATION,
+    TRANSLATION,
+    transposed,
+)
+
+# Parameters: a twist of X in the axes of b, then the terms.
+PARAMETERS = 12
+SCALE, DRIFT, LATENCY, OFFSET = 6, slice(7, 10), 10, 11
+TERMS = {'scale': slice(6, 7), 'systematic_drift': DRIFT, 'time_offset': slice(11, 12)}
+HALF_WIDTH = np.array([0.01, 0.002, 0.002, 0.002, 0.005, 0.005])
+
+# Of the extrinsic next to nothing is known beforehand: a kilometre, and any angle. It keeps
+# directions that the motion leaves open finite, and says so in the covariance.
+_OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
+
+# A stop of the stamps longer than this, and than five usual steps, is a gap: nothing is known of
+# what happened in it.
+_GAP_S = 1.0
+_GAP_STEPS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """The parameters: ``T_a_b`` (4, 4), ``terms`` (6,) in the order of the columns."""
+
+    T_a_b: FloatArray
+    terms: FloatArray
+
+    def moved(self, step: FloatArray) -> State:
+        """Return the state after a (12,) step."""
+        R, t = self.T_a_b[:3, :3], self.T_a_b[:3, 3]
+        T_a_b = from_rotation_translation(
+            R @ exp(step[None, ROTATION])[0], t + R @ step[TRANSLATION])
+        return State(T_a_b, self.terms + step[6:])
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Poses of both sensors at common times.
+
+    Attributes
+    ----------
+    times : (N,) seconds from the first.
+    R_a, p_a, R_b, p_b : (N, 3, 3) attitudes and (N, 3) positions about the first, in the worlds.
+    step_b : (N - 1, 3) the way of b from pose to pose, in its own axes before it.
+    velocity_b : (N, 3) of b in its world, m/s; zero beside gaps.
+    twist_a : (N, 6) of a in its own axes, m/s and rad/s; zero beside gaps.
+    gap : (N - 1,) bool, whether nothing is known of a step.
+
+    """
+
+    times: FloatArray
+    R_a: FloatArray
+    p_a: FloatArray
+    R_b: FloatArray
+    p_b: FloatArray
+    step_b: FloatArray
+    velocity_b: FloatArray
+    twist_a: FloatArray
+    gap: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    @classmethod
+    def of(cls, pairs: PosePairs) -> Drive:
+        """Return what the solver needs of pose pairs."""
+        times = (pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9
+        R_a, R_b = pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]
+        p_a = pairs.poses_a[:, :3, 3] - pairs.poses_a[0, :3, 3]
+        p_b = pairs.poses_b[:, :3, 3] - pairs.poses_b[0, :3, 3]
+        steps = np.diff(times)
+        gap = steps > _GAP_S + _GAP_STEPS * np.median(steps)
+        before = np.maximum(np.arange(len(times)) - 1, 0)
+        after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
+        known = ~(np.r_[False, gap] | np.r_[gap, False])
+        rate = (known / (times[after] - times[before]))[:, None]
+        spin = log(transposed(R_a[before]) @ R_a[after])
+        return cls(
+            times, R_a, p_a, R_b, p_b,
+            step_b=apply(transposed(R_b[:-1]), np.diff(p_b, axis=0)),
+            velocity_b=rate * (p_b[after] - p_b[before]),
+            twist_a=rate * np.c_[apply(transposed(R_a), p_a[after] - p_a[before]), spin],
+            gap=gap)
+
+    def scaled(self, scale: float) -> Drive:
+        """Return the drive with the lengths of b multiplied."""
+        return replace(self, p_b=scale * self.p_b, step_b=scale * self.step_b,
+                       velocity_b=scale * self.velocity_b)
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """Both trajectories at a state.
+
+    Attributes
+    ----------
+    R_ax, p_ax : (N, 3, 3), (N, 3) the pose of b in the world of a, as a tells it.
+    by_offset : (N, 6) its twist per second of clock offset, in the axes of b.
+    p_b : (N, 3) the position of b in its own world, corrected by the terms.
+    by_terms : (N, 3, 5) its derivatives in scale, drift and latency.
+
+    """
+
+    R_ax: FloatArray
+    p_ax: FloatArray
+    by_offset: FloatArray
+    p_b: FloatArray
+    by_terms: FloatArray
+
+
+def correct(drive: Drive, state: State) -> Corrected:
+    """Return both trajectories at a state."""
+    R_x, t_x = state.T_a_b[:3, :3], state.T_a_b[:3, 3]
+    scale, drift, latency, offset = (
+        np.exp(state.terms[0]), state.terms[1:4], state.terms[4], state.terms[5])
+    v, w = drive.twist_a[:, TRANSLATION], drive.twist_a[:, ROTATION]
+    R_a, p_a = drive.R_a, drive.p_a
+    if offset:
+        p_a = p_a + offset * apply(R_a, v)
+        R_a = R_a @ exp(offset * w)
+    by_terms = np.empty((len(drive), 3, 5))
+    by_terms[:, :, 0] = scale * drive.p_b
+    by_terms[:, :, 1:4] = _drifted(drive, scale, drift)
+    by_terms[:, :, 4] = drive.velocity_b
+    return Corrected(
+        R_ax=R_a @ R_x,
+        p_ax=R_a @ t_x + p_a,
+        by_offset=np.c_[(v + np.cross(w, t_x)) @ R_x, w @ R_x],
+        p_b=by_terms[:, :, 0] + by_terms[:, :, 1:4] @ drift + latency * drive.velocity_b,
+        by_terms=by_terms)
+
+
+def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:
+    """Return (N, 3, 3): the integral of the axes of b over the way it truly moved.
+
+    A step m of b, truly l long, was reported ``m = truth - l drift``: l is the root of
+    ``|m + l drift| = l``.
+    """
+    m = scale * drive.step_b
+    along, rest = m @ drift, 1.0 - drift @ drift
+    length = (np.sqrt(along**2 + rest * (m**2).sum(axis=1)) + along) / rest
+    result = np.zeros((len(drive), 3, 3))
+    np.cumsum(length[:, None, None] * drive.R_b[:-1], axis=0, out=result[1:])
+    return result
+
+
+def residuals(
+    drive: Drive, at: Corrected, i: NDArray[np.intp], j: NDArray[np.intp],
+) -> FloatArray:
+    """Return (M, 6) by how much the sensors disagree on the motion from i to j, at j of b.
+
+    Rotation: of ``(A X)^-1 (A X) ...`` against B; translation in the axes of b at i.
+    """
+    back_a, back_b = transposed(at.R_ax[i]), transposed(drive.R_b[i])
+    turn = transposed(back_a @ at.R_ax[j]) @ (back_b @ drive.R_b[j])
+    moved = apply(back_b, at.p_b[j] - at.p_b[i]) - apply(back_a, at.p_ax[j] - at.p_ax[i])
+    return np.c_[moved, log(turn)]
+
+
+def prior_precision(terms: FloatArray, modes: Mapping[str, str]) -> FloatArray:
+    """Return (12,) the curvature of the priors where a Cauchy is replaced by its majorant.
+
+    ``-2 log p = 2 log(1 + x^2 / g^2)`` lies below the parabola of curvature ``2 / (g^2 + x^2)``
+    that touches it at x: iterating on it descends. A term that is to be estimated freely has
+    none, one that is fixed an infinite one.
+    """
+    precision = np.concatenate([_OF_EXTRINSIC, 2.0 / (HALF_WIDTH**2 + terms**2)])
+    for name, columns in TERMS.items():
+        if modes[name] == 'estimate':
+            precision[columns] = 0.0
+        elif modes[name] == 'fixed':
+            precision[columns] = np.inf
+    return precision

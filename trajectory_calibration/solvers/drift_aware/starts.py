@@ -1,0 +1,157 @@
+"""Where to begin: robust answers over several lags, and the unit of b.
+
+Each start aligns the rotation vectors of motions over one lag (G. Wahba, SIAM Review 7(3), 1965,
+doi:10.1137/1007077), turned about the main axis by quarters where all rotations share it, and is
+refined on the motions of that lag, rotation and translation jointly. The start that leaves the
+smallest median residuals over all lags wins: jumps and outliers do not decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_translation, skew
+from trajectory_calibration.solvers.drift_aware.algebra import (
+    apply,
+    exp,
+    log,
+    ROTATION,
+    TRANSLATION,
+    transposed,
+)
+from trajectory_calibration.solvers.drift_aware.drive import Drive, State
+
+_LAGS_S = (0.0, 1.0, 2.0, 4.0)
+_MOTIONS = 200
+_REWEIGHTINGS = 6
+
+# Residuals below this part of the motion are as good as none.
+_LEAST = 1e-4
+
+# Rotations share an axis where the second singular value is below this part of the first.
+_ONE_AXIS = 0.05
+
+# Spreads that differ by less are of one unit; another unit must leave a quarter of
+# the residuals.
+_SAME_UNIT = 0.3
+_BETTER = 0.25
+
+
+def start(drive: Drive, *, unit_is_known: bool) -> tuple[State, float]:
+    """Return a state to begin at, and the metres of a per unit of b, 1 unless they tell another.
+
+    A sensor on a long arm moves far where the other hardly does: the spread of the positions
+    only asks the question, and motions over long times must fit far better in the other unit.
+    """
+    best, cost = _best(drive)
+    unit = 1.0 if unit_is_known else _ratio_of_spreads(drive)
+    if abs(np.log(unit)) > _SAME_UNIT:
+        other, its_cost = _best(drive.scaled(unit))
+        if its_cost < cost + np.log(_BETTER):
+            return other, unit
+    return best, 1.0
+
+
+def _ratio_of_spreads(drive: Drive) -> float:
+    of_a, of_b = (float(np.sqrt(((p - p.mean(axis=0))**2).sum())) for p in (drive.p_a, drive.p_b))
+    return of_a / of_b if min(of_a, of_b) > 1e-9 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Motions:
+    """Relative motions over one lag, (M, 3, 3) and (M, 3), of a and of b in their own axes."""
+
+    R_a: FloatArray
+    t_a: FloatArray
+    R_b: FloatArray
+    t_b: FloatArray
+
+    def residuals(self, T_a_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return (M, 6) how far b is from a seen from b; the motion of a there: turn and way."""
+        R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+        turn = R.T @ self.R_a @ R
+        way = (self.R_a @ t + self.t_a - t) @ R
+        return np.c_[self.t_b - way, log(transposed(turn) @ self.R_b)], turn, way
+
+
+def _motions(drive: Drive, lag: int) -> _Motions:
+    i = np.arange(len(drive) - lag)
+    i = i[::max(1, len(i) // _MOTIONS)]
+    j = i + lag
+    back_a, back_b = transposed(drive.R_a[i]), transposed(drive.R_b[i])
+    return _Motions(back_a @ drive.R_a[j], apply(back_a, drive.p_a[j] - drive.p_a[i]),
+                    back_b @ drive.R_b[j], apply(back_b, drive.p_b[j] - drive.p_b[i]))
+
+
+def _best(drive: Drive) -> tuple[State, float]:
+    """Return the best start, and the logarithm of its median residuals."""
+    lags = sorted({_poses(drive, seconds) for seconds in _LAGS_S})
+    motions = [_motions(drive, lag) for lag in lags]
+    size = float(np.abs(drive.p_a).max()) + 1e-9
+    found = [T for one in motions for T in _candidates(one)]
+    costs = [np.mean([_misfit(T, one, size) for one in motions]) for T in found]
+    best = int(np.argmin(costs))
+    return State(found[best], np.zeros(6)), float(costs[best])
+
+
+def _poses(drive: Drive, seconds: float) -> int:
+    step = float(np.median(np.diff(drive.times)))
+    return int(np.clip(round(seconds / step), 1, max(1, len(drive) // 4)))
+
+
+def _misfit(T_a_b: FloatArray, motions: _Motions, size: float) -> float:
+    """Return the log of the median residuals, of both kinds; rounding counts as none."""
+    e, _, _ = motions.residuals(T_a_b)
+    return float(np.log(np.median(np.linalg.norm(e[:, TRANSLATION], axis=1)) + 1e-9 * size)
+                 + np.log(np.median(np.linalg.norm(e[:, ROTATION], axis=1)) + 1e-9))
+
+
+def _candidates(motions: _Motions) -> Iterator[FloatArray]:
+    of_a, of_b = log(motions.R_a), log(motions.R_b)
+    w = np.ones(len(of_a))
+    for _ in range(_REWEIGHTINGS):
+        U, values, Vt = np.linalg.svd((w[:, None] * of_a).T @ of_b)
+        R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+        w = _trust(np.linalg.norm(of_a - of_b @ R.T, axis=1))
+    quarters = range(4) if values[1] < _ONE_AXIS * values[0] else range(1)
+    for quarter in quarters:
+        turn = exp(0.5 * np.pi * quarter * U[:, :1].T)[0]
+        yield _refined(turn @ R, motions)
+
+
+def _trust(sizes: FloatArray) -> FloatArray:
+    """Return the Cauchy weights of residuals by their median."""
+    return 1 / (1 + (sizes / (np.median(sizes) + 1e-12))**2)
+
+
+def _refined(R: FloatArray, motions: _Motions) -> FloatArray:
+    """Return the extrinsic near a rotation that fits the motions: robust Gauss-Newton."""
+    state = State(from_rotation_translation(R, np.zeros(3)), np.zeros(6))
+    for round_ in range(_REWEIGHTINGS + 2):
+        e, turn, way = motions.residuals(state.T_a_b)
+        J = np.zeros((len(e), 6, 6))
+        J[:, TRANSLATION, TRANSLATION] = np.eye(3) - turn
+        J[:, TRANSLATION, ROTATION] = -skew(way)
+        J[:, ROTATION, ROTATION] = transposed(turn) - np.eye(3)
+        if not round_:
+            # The rotation is good; the lever arm has to follow first.
+            J[:, :, ROTATION] = 0.0
+        root = []
+        for part, usual in ((TRANSLATION, motions.t_a), (ROTATION, log(motions.R_a))):
+            size = np.linalg.norm(e[:, part], axis=1)
+            # Without noise in one of both, the other would be lost to rounding.
+            least = _LEAST * np.median(np.linalg.norm(usual, axis=1)) + 1e-9
+            root.append(np.sqrt(_trust(size)) / (np.median(size) + least))
+        rows = np.repeat(np.stack(root, axis=1), 3, axis=1).reshape(-1)
+        A = J.reshape(-1, 6) * rows[:, None]
+        normal = A.T @ A
+        step = np.zeros(12)
+        step[:6] = -np.linalg.lstsq(
+            normal + 1e-9 * np.diag(np.diag(normal)), A.T @ (e.reshape(-1) * rows),
+            rcond=1e-12)[0]
+        step *= min(1.0, 0.5 / max(float(np.linalg.norm(step[ROTATION])), 1e-300))
+        state = state.moved(step)
+    return state.T_a_b
