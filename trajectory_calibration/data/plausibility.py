@@ -44,7 +44,8 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     question = Finding(
         'time-unit',
         f'{trajectory.sensor_frame}: the median step between its poses is {step:.6g} s: are its '
-        f'times in {unit}? Then divide them by {divisor}', {'median_step_s': step})
+        f'times in {unit}? Then divide them by {divisor}; --time-unit reads them',
+        {'median_step_s': step})
     return (question,)
 
 
@@ -70,7 +71,8 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
     Those about each of them, or else one where they have no time in common and their steps
     differ by what units differ by.
     """
-    found = (*time_doubts(a), *time_doubts(b))
+    found = (*time_doubts(a), *time_doubts(b), *(
+        item for item in (*a.findings, *b.findings) if item.code == 'stamps-are-numbers'))
     common = a.stamps_ns[0] <= b.stamps_ns[-1] and b.stamps_ns[0] <= a.stamps_ns[-1]
     if found or common:
         return found
@@ -83,7 +85,7 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
                 f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
                 f'and {long_.usual_step_ns * 1e-9:.3g} s in {long_.sensor_frame}: are the times '
                 f'of {long_.sensor_frame} in {unit}, those of {short.sensor_frame} in seconds? '
-                f'Then divide them by {divisor}', {'factor': factor})
+                f'Then divide them by {divisor}; --time-unit reads them', {'factor': factor})
             return (question,)
     return ()
 
