@@ -160,3 +160,19 @@ def test_what_a_chain_waits_for_is_in_the_diagnostics(tmp_path):
             return 'no frame base_link' in client.status('trajectory_a').message
         client.wait(missing, 'the missing link')
         assert client.status('trajectory_a').level == b'\x01'
+
+
+@pytest.mark.skipif(importlib.util.find_spec('tf2_py') is None, reason='tf2_ros is missing')
+def test_a_tf2_listener_finds_the_extrinsic(tmp_path):
+    from rclpy.time import Time
+    from tf2_ros import Buffer, TransformListener
+    with ros.running(tmp_path, *PUBLISH) as (_, client):
+        Tf(client).static('base_link', 'camera', se3.exp_se3(np.full(6, 0.1)))
+        buffer = Buffer()
+        listener = TransformListener(buffer, client.node)
+        client.publish_drive(*ros.drive())
+        assert client.call('calibrate').success
+        client.wait(lambda: buffer.can_transform('lidar', 'camera', Time()), 'the transform')
+        found = buffer.lookup_transform('lidar', 'camera', Time())
+        del listener
+    assert np.allclose(ros.matrix(found), ros.T_A_B, atol=1e-9)

@@ -1,7 +1,10 @@
 """The files in config/ name what the node really has."""
 
+from importlib.util import find_spec
 import json
 from pathlib import Path
+import shutil
+import subprocess
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -63,3 +66,30 @@ def test_the_security_policy_allows_exactly_what_the_node_does(interface):
     allowed = {full(topic.text) for topic in profile.findall("topics[@publish='ALLOW']/topic")}
     assert allowed - OPTIONAL == interface[0]
     assert {full(service.text) for service in profile.findall('services/service')} == interface[1]
+
+
+@pytest.mark.skipif(shutil.which('systemd-analyze') is None, reason='systemd is missing')
+def test_systemd_takes_the_unit():
+    done = subprocess.run(
+        ['systemd-analyze', 'verify', str(CONFIG / 'calibration.service')],
+        capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, '')
+
+
+@pytest.mark.skipif(find_spec('sros2') is None, reason='sros2 is missing')
+def test_sros2_takes_the_policy():
+    from sros2.policy import load_policy
+    assert load_policy(CONFIG / 'sros2_policy.xml') is not None
+
+
+@pytest.mark.skipif(find_spec('ament_xmllint') is None, reason='ament_xmllint is missing')
+def test_package_xml_is_valid():
+    from ament_xmllint.main import main
+    assert main(argv=[str(CONFIG.parent / 'package.xml')]) == 0
+
+
+@pytest.mark.skipif(find_spec('ament_copyright') is None, reason='ament_copyright is missing')
+def test_every_file_names_its_licence():
+    from ament_copyright.main import main
+    assert main(argv=[str(CONFIG.parent / name) for name in (
+        'trajectory_calibration', 'launch', 'setup.py')]) == 0
