@@ -78,6 +78,7 @@ TYPES = {
     'Odometry': Odometry,
     'PoseStamped': PoseStamped,
     'PoseWithCovarianceStamped': PoseWithCovarianceStamped,
+    'TransformStamped': TransformStamped,
     'Path': Path,
 }
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

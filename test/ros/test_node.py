@@ -22,6 +22,7 @@ DNL = ('-p', 'solver:=dnl', '-p', 'reference:=B5')
     ('Odometry', 'Odometry'),
     ('PoseStamped', 'PoseWithCovarianceStamped'),
     ('Path', 'Odometry'),
+    ('TransformStamped', 'TransformStamped'),
 ])
 def test_extrinsic_of_noise_free_motion_is_exact(tmp_path, types):
     with ros.running(tmp_path, *TAYLOR, '-p', 'frame_b:=camera') as (_, client):
@@ -31,8 +32,8 @@ def test_extrinsic_of_noise_free_motion_is_exact(tmp_path, types):
         assert answer.success, answer.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-10)
-    # Odometry alone names the sensor; the topic does otherwise.
-    expected = 'lidar' if types[0] == 'Odometry' else (
+    # Where the message names no sensor, the topic does.
+    expected = 'lidar' if types[0] in ('Odometry', 'TransformStamped') else (
         f'{client.namespace[1:]}_trajectory_a')
     assert extrinsic[0].header.frame_id == expected
     assert extrinsic[0].child_frame_id == 'camera'

@@ -49,11 +49,6 @@ def stamp_ns(stamp: Time) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _numbers(pose: Pose) -> tuple[float, ...]:
-    p, q = pose.position, pose.orientation
-    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
-
-
 def to_transform_stamped(
     parent: str, child: str, T_parent_child: FloatArray, stamp: Time,
 ) -> TransformStamped:
