@@ -60,6 +60,8 @@ def test_the_edge_keeps_the_tree(edges, expected):
     (('camera lidar',), 'already connects lidar and camera'),
     (('odom ~base_link', 'base_link lidar', 'lidar mast', 'mast camera'), 'already connects'),
     (('odom ~base_link', 'base_link lidar', 'world ~camera'), 'in two trees that both move'),
+    # Each SLAM publishes its own pose in one map.
+    (('map ~lidar', 'map ~camera'), 'switch off the TF of one of the two'),
 ])
 def test_a_second_way_is_refused_with_the_reason(edges, words):
     assert words in placed(vehicle(*edges))
@@ -95,6 +97,12 @@ def test_a_frame_with_two_parents_and_a_circle_are_survived():
     assert (edge.parent, edge.child) == ('mast', 'lidar')
     assert frames.transform('x', 'camera') is None
     assert frames.transform('x', 'z') is not None
+
+
+def test_only_a_fixed_transform_is_compared_with():
+    assert vehicle('map ~lidar', 'map ~camera').transform('lidar', 'camera') is None
+    assert vehicle('odom ~base', 'base lidar', 'base camera').transform('lidar', 'camera') is not (
+        None)
 
 
 def test_the_transform_of_today_and_how_far_the_answer_is_from_it():

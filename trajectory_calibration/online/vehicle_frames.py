@@ -96,15 +96,20 @@ class VehicleFrames:
         self._published.append(edge)
 
     def transform(self, frame_a: str, frame_b: str) -> FloatArray | None:
-        """Return the (4, 4) pose of frame b in frame a today; None where they are not connected.
+        """Return the (4, 4) pose of frame b in frame a, None where that is not fixed."""
+        found = self._between(frame_a, frame_b)
+        return found[0] if found is not None and found[1] else None
 
-        Where a moving joint lies between them, it is the pose at the last transforms.
+    def _between(self, frame_a: str, frame_b: str) -> tuple[FloatArray, bool] | None:
+        """Return the (4, 4) pose of b in a at the last transforms, and whether it is fixed.
+
+        None where the two are in separate trees.
         """
-        to_root = {frame: T for frame, T, _ in self._upwards(frame_a)}
-        for frame, T_frame_b, _ in self._upwards(frame_b):
-            if frame in to_root:
-                T: FloatArray = se3.inverse(to_root[frame]) @ T_frame_b
-                return T
+        above_a = {frame: (T, fixed) for frame, T, fixed in self._upwards(frame_a)}
+        for frame, T_frame_b, fixed_b in self._upwards(frame_b):
+            if frame in above_a:
+                T_frame_a, fixed_a = above_a[frame]
+                return se3.inverse(T_frame_a) @ T_frame_b, fixed_a and fixed_b
         return None
 
     def place(
@@ -128,11 +133,15 @@ class VehicleFrames:
         for name, setting in ((frame_a, 'frame_a'), (frame_b, 'frame_b')):
             if name in invented:
                 return Placement(None, f'the messages name no frame for {name}; set {setting}')
-        if self.transform(frame_a, frame_b) is not None:
+        parent_a, parent_b = self._edges.get(frame_a), self._edges.get(frame_b)
+        found = self._between(frame_a, frame_b)
+        if found is not None:
+            cure = ('correct that transform, for instance in the URDF, instead of adding a second'
+                    if found[1] else 'a SLAM or an odometry publishes it: switch off the TF of '
+                    'one of the two')
             return Placement(None, (
                 f'the vehicle already connects {frame_a} and {frame_b} ({self._way(frame_b)}); '
-                'correct that transform, for instance in its URDF, instead of adding a second'))
-        parent_a, parent_b = self._edges.get(frame_a), self._edges.get(frame_b)
+                f'{cure}'))
         if parent_b is None:
             return Placement(Edge(frame_a, frame_b, T_a_b))
         top, T_top_b, is_root = self._fixed_top(frame_b)
