@@ -177,6 +177,9 @@ jobs:
 @pytest.mark.parametrize(('text', 'message'), [
     ('jobs: []', 'no bags match'), ('a: 1', 'holds no jobs'), ('[1]', 'holds no jobs'),
     ('jobs: [x.mcap]', 'a and b are not named'),
+    ('{config: 5, jobs: [x.mcap]}', 'config is 5, needed settings by name'),
+    ('{a: /x, b: /y, jobs: [{bag: [5]}]}', r'bag is \[5\], needed a text'),
+    ('{a: /x, b: /y, invert_a: yes it is, jobs: [x]}', 'needed true or false'),
     ('{a: /x, b: /y, jobs: [{bag: x.mcap, speed: 3}]}', "'speed' is unknown"),
     ('{a: /x, b: /y, jobs: [{bag: x, name: n}, {bag: y, name: n}]}', 'two jobs are named n'),
 ])

@@ -15,7 +15,11 @@ from trajectory_calibration import ConfigError, ResultError, SourceError
 from trajectory_calibration.config.yaml_file import parse_yaml
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.exports import EXPORTS, write_exports
-from trajectory_calibration.outputs.extrinsic_file import parse_transform, read_extrinsic
+from trajectory_calibration.outputs.extrinsic_file import (
+    parse_transform,
+    read_extrinsic,
+    transform_of,
+)
 from trajectory_calibration.outputs.frame_tree import FrameTree
 from trajectory_calibration.outputs.placement import Placement
 
@@ -291,6 +295,7 @@ def test_a_known_extrinsic_is_read(tmp_path, name, text, how):
     ('x.yaml', 'cam1: {T_cn_cnm1: 5}', 'needed 4 x 4'),
     ('x.yaml', 'T_a_b: {translation: [0, 0, 0]}', 'KeyError'),
     ('x.yaml', 'b: {s: {x: 0}}', 'KeyError'),
+    ('x.yaml', f'cam1: {{T_cn_cnm1: [{"9" * 400}]}}', 'OverflowError'),
     ('x.urdf', '<robot/>', 'no <joint>'), ('x.urdf', '<a', 'cannot be read as URDF'),
     ('x.urdf', '<origin xyz="${x} 0 0"/>', 'xacro must be expanded'),
     ('x.urdf', ROBOT, 'holds 4 joints, needed one: append #JOINT'),
@@ -328,6 +333,6 @@ def test_a_transform_in_an_option():
     np.testing.assert_allclose(
         parse_transform('0.5, -0.25, 0.125, 0.1, -0.2, 0.3'), T_01, atol=1e-15)
     np.testing.assert_allclose(parse_transform('1 2 3 0 0 0 1')[:3, 3], [1, 2, 3])
-    for text in ('', '1 2', 'x', '0 0 0 0 0 0 3', '1 2 3 0 0 nan'):
+    for text in ('', '1 2', 'x', 'x' * 5000, '0 0 0 0 0 0 3', '1 2 3 0 0 nan'):
         with pytest.raises(ConfigError, match=r'x,y,z,roll|norm'):
-            parse_transform(text)
+            transform_of(text)

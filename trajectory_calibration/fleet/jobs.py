@@ -31,6 +31,8 @@ _OPTIONS = tuple(item.name for item in fields(InputOptions))
 _KEYS = ('a', 'b', 'bag', 'name', 'config',
          *(f'{name}_{sensor}' for name in _OPTIONS for sensor in 'ab'))
 
+_KINDS = {dict: 'settings by name', bool: 'true or false', str: 'a text'}
+
 
 @dataclass(frozen=True)
 class Job:
@@ -139,24 +141,40 @@ def _from_yaml(
     if not isinstance(data, Mapping) or not isinstance(data.get('jobs'), list):
         raise ConfigError(f'{path} holds no jobs; needed a list "jobs:", see docs/fleet.md')
     common = {'a': a, 'b': b, **{key: value for key, value in data.items() if key != 'jobs'}}
+    _check(common, path)
     jobs = []
     for item in data['jobs']:
         given = item if isinstance(item, Mapping) else {'bag': item}
         merged = {**common, **given}
-        for key in merged:
-            if key not in _KEYS:
-                raise ConfigError(f'{path}: {key!r} is unknown; known are {", ".join(_KEYS)}')
+        _check(merged, path)
         settings = {**config.to_dict(), **(common.get('config') or {}),
                     **(given.get('config') or {})}
+        if any(not isinstance(name, str) for name in settings):
+            raise ConfigError(f'{path}: a setting has no name; needed lines as "solver: dnl"')
         merged['config'] = CalibrationConfig.from_dict(settings)
         jobs.append(_from_mapping(path.parent, merged))
     return jobs
 
 
+def _check(given: Mapping[Any, Any], path: Path) -> None:
+    """Raise ConfigError where a key of a job is unknown, or its value of the wrong kind."""
+    for key, value in given.items():
+        if key not in _KEYS:
+            raise ConfigError(f'{path}: {key!r} is unknown; known are {", ".join(_KEYS)}')
+        texts = value if key == 'bag' and isinstance(value, list) else [value]
+        kind: type = dict if key == 'config' else bool if key.startswith('invert') else str
+        for text in texts:
+            zero = kind is str and isinstance(text, str) and '\0' in text
+            if zero or not (text is None or isinstance(text, kind)):
+                raise ConfigError(
+                    f'{path}: {key} is {value!r}, needed '
+                    f'{_KINDS[kind]}')
+
+
 def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     bags = given.get('bag') or []
-    bags = [bags] if isinstance(bags, str) else list(map(str, bags))
-    bags = [str(folder / bag) for bag in bags]
+    bags = [bags] if isinstance(bags, str) else bags
+    bags = [str(folder / bag) for bag in bags if bag]
     a, b = (None if given.get(key) is None else str(given[key]) for key in 'ab')
     if a is None or b is None:
         raise ConfigError(f'job {bags or dict(given)}: a and b are not named')
@@ -165,8 +183,8 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     if not bags:
         a, b = (str(folder / name) for name in (a, b))
     options = [InputOptions(**{
-        option: given[f'{option}_{sensor}'] for option in _OPTIONS
-        if f'{option}_{sensor}' in given}) for sensor in 'ab']
+        option: folder / value if option == 'times' else value for option in _OPTIONS
+        if (value := given.get(f'{option}_{sensor}')) is not None}) for sensor in 'ab']
     return Job(str(given.get('name') or ''), a, b, tuple(bags), given['config'], *options)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 import re
 from typing import Any, NamedTuple
@@ -96,9 +97,11 @@ def transform_of(text: str) -> FloatArray:
         The file holds no transform.
 
     """
-    if Path(text.rpartition('#')[0] or text).is_file():
-        return read_extrinsic(text).T_a_b
-    return parse_transform(text)
+    is_file = False
+    # Too long for a name, or with a zero byte: no file.
+    with suppress(OSError, ValueError):
+        is_file = Path(text.rpartition('#')[0] or text).is_file()
+    return read_extrinsic(text).T_a_b if is_file else parse_transform(text)
 
 
 def parse_transform(text: str) -> FloatArray:
@@ -267,7 +270,7 @@ def _from_mapping(
             if cameras:
                 return _from_kalibr(cameras, file, key)
             return _from_autoware(data, file, key, frame_a, frame_b)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise SourceError(
                 f'{file} holds no transform ({type(error).__name__}: {error}); needed {FORMS}'
             ) from error
