@@ -179,7 +179,7 @@ def test_a_chain_of_transforms(tmp_path, storage):
     np.testing.assert_allclose(trajectory.poses, expected, atol=1e-12)
     with open_bags([path]) as reader:
         assert reader.transforms().pairs() == [('map', 'odom'), ('map', 'base'), ('odom', 'base')]
-        tracks = reader.read(['tf:odom.base', 'odom'])
+        tracks = reader.read(['/tf:odom.base', 'odom'])
         assert [track.msgtype for track in tracks.values()] == [
             'tf2_msgs/msg/TFMessage', 'nav_msgs/msg/Odometry']
         with pytest.raises(TopicError, match='no frame lidr in the transforms; frames: arm, base'):

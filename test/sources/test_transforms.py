@@ -165,6 +165,7 @@ def test_a_follower_says_what_it_waits_for():
 @pytest.mark.parametrize(('name', 'frames', 'expected'), [
     ('tf:map.base_link', (), ('map', 'base_link')),
     ('tf:/map./base_link', (), ('map', 'base_link')),
+    ('/tf:map.base_link', (), ('map', 'base_link')),
     ('tf:map.camera.left', ('map', 'camera.left'), ('map', 'camera.left')),
 ])
 def test_names_of_pairs(name, frames, expected):

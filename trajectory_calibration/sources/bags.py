@@ -32,7 +32,7 @@ from trajectory_calibration.sources.topics import (
     transform_tree,
     TransformCollector,
 )
-from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
+from trajectory_calibration.sources.transforms import names_frames, TransformTree
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
@@ -140,7 +140,7 @@ class BagReader:
             No such topic, or it cannot serve; the message lists those that can.
 
         """
-        chains = [name for name in names if name.startswith(TF_PREFIX)]
+        chains = [name for name in names if names_frames(name)]
         topics = {name: self._topic(name) for name in names if name not in chains}
         types = {topic: self._serving_type(topic) for topic in topics.values()}
         for bag in self._bags:

@@ -14,7 +14,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.sources.files import FileSource
-from trajectory_calibration.sources.transforms import TF_PREFIX
+from trajectory_calibration.sources.transforms import names_frames
 
 # Called with the part done and the whole.
 Progress = Callable[[int, int], None]
@@ -74,7 +74,7 @@ def load_inputs(
         if name in from_bags and given:
             raise ConfigError(f'{", ".join(given)} is for files; {name} is read from a bag, whose '
                               'messages carry their format and time')
-        if name.startswith(TF_PREFIX) and not bags:
+        if names_frames(name) and not bags:
             raise ConfigError(f'{name} names frames of a bag; give the bag with --bag')
     tracks = {}
     if from_bags:

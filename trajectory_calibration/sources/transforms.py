@@ -216,6 +216,11 @@ class ChainFollower:
         return stamps_ns, poses
 
 
+def names_frames(name: str) -> bool:
+    """Tell ``tf:PARENT.CHILD``, or as evo has it ``/tf:PARENT.CHILD``, from a topic."""
+    return name.removeprefix('/').startswith(TF_PREFIX)
+
+
 def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
     """Return the two frames of ``tf:PARENT.CHILD``.
 
@@ -227,7 +232,7 @@ def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
         No two names, or several ways to part them.
 
     """
-    text = name.removeprefix(TF_PREFIX)
+    text = name.removeprefix('/').removeprefix(TF_PREFIX)
     known = set(frames)
     words = text.split('.')
     ways = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
