@@ -1,5 +1,6 @@
 """``trajectory_calibration export``, as a person calls it."""
 
+import json
 from pathlib import Path
 
 from cli_helpers import run, write_pair
@@ -124,3 +125,15 @@ def test_an_unobserved_direction_is_flagged_in_every_format(capsys, tmp_path):
         assert 'unobserved: z of' in err
         if not exporter.is_binary:
             assert 'unobserved' in Path(tmp_path, exporter.file_name).read_text().lower()
+
+
+def test_a_ground_truth_that_is_inverted_is_said(capsys, tmp_path):
+    a, b, truth = write_pair(tmp_path)
+    T = read_extrinsic(truth).T_a_b
+    chain = tmp_path / 'camchain.yaml'
+    chain.write_text(f'cam1: {{T_cn_cnm1: {se3.inverse(T).tolist()}}}')
+    status, out, err = run(
+        capsys, 'calibrate', a, b, '--ground-truth', chain, '--solver', 'dnl', '--format', 'json')
+    assert status == 0
+    assert 'Kalibr, whose T_cn_cnm1 maps points' in err
+    assert json.loads(out)['e_at_m'] < 1e-6

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterable
 from pathlib import Path
 import shlex
+import sys
 from typing import TYPE_CHECKING
 
 from trajectory_calibration.cli import exit_status
@@ -66,7 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | None:
     """Return the known pose of b in a, or None where no file was given."""
-    return None if name is None else read_extrinsic(name, frame_a, frame_b).T_a_b
+    if name is None:
+        return None
+    found = read_extrinsic(name, frame_a, frame_b)
+    if 'inverted' in found.how:
+        # The only formats of which a person may have expected the other direction.
+        print(f'ground truth: {found.how}', file=sys.stderr)
+    return found.T_a_b
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
