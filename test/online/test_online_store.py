@@ -226,3 +226,10 @@ def test_a_kill_while_saving_leaves_every_earlier_result_whole(tmp_path, result)
         files = sorted(folder.glob('node_*.yaml'))
         assert len(files) > before
         assert ResultStore(str(folder), '/node').latest()[0] == files[-1]
+
+
+def test_without_the_yaml_library_a_folder_is_refused_with_the_command(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, 'ruamel.yaml', None)
+    with pytest.raises(ConfigError, match=r'result_directory needs YAML: ruamel.yaml is not '
+                       r'installed; pip install ruamel.yaml'):
+        ResultStore(str(tmp_path), '/node')

@@ -9,7 +9,12 @@ from pathlib import Path
 import re
 
 from trajectory_calibration.config.yaml_file import write_yaml
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.errors import (
+    ConfigError,
+    MissingPackageError,
+    require,
+    ResultError,
+)
 from trajectory_calibration.outputs.exports import write_exports
 from trajectory_calibration.result import CalibrationResult
 
@@ -35,11 +40,15 @@ class ResultStore:
     Raises
     ------
     ConfigError
-        The folder cannot be found, made or written to.
+        The folder cannot be found, made or written to, or ruamel.yaml is not installed.
 
     """
 
     def __init__(self, folder: str, node_name: str) -> None:
+        try:
+            require('ruamel.yaml')
+        except MissingPackageError as error:
+            raise ConfigError(f'result_directory needs YAML: {error}') from error
         try:
             self._folder = Path(folder).expanduser().absolute()
         except RuntimeError as error:
