@@ -167,7 +167,7 @@ def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver):
         except ConfigError as refused:
             # Noise may pass for a turn with them, and their translation then hangs on it.
             assert solver in ('park', 'taylor')
-            assert 'use drift_aware or dnl' in str(refused)
+            assert 'open to this solver; use' in str(refused)
             continue
         error = found.absolute_errors(X)
         assert error.e_aR < np.deg2rad(0.3)

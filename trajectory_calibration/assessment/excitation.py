@@ -24,7 +24,7 @@ from trajectory_calibration.data.motion_pairs import (
     select_motions,
 )
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Equations, Linearise, UNKNOWN
@@ -42,8 +42,9 @@ _UNSEEN = 1e-12
 # Directions with less than this share of true excitation are tested against noise.
 _SUSPECT_SHARE = 0.5
 
-# Excitation counts when it exceeds this many standard deviations of what noise alone would give.
-_SIGNIFICANT = 4.0
+# Excitation counts when it exceeds this many standard deviations of what noise alone would give:
+# a tenth of a false alarm, because noise that passes for motion makes a wrong answer look sure.
+_SIGNIFICANT = float(np.sqrt(chi_squared.quantile(1, 0.1 * chi_squared.FALSE_ALARM)))
 
 # A disagreement of this many usual ones is a glitch.
 _GLITCH = 20.0
@@ -131,17 +132,10 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
 
     Over several lags, and by the one that shows most: noise hides short motions.
     """
-    poses_c = T_a_b @ pairs.poses_b @ se3.inverse(T_a_b)
     found = []
     for lag in lag_grid(pairs.stamps_ns, _LAGS):
         motions = _plausible(T_a_b, thinned_to(select_motions(pairs, f'B{lag}'), _MOTIONS))
-        shared, own = np.zeros((6, 6)), np.zeros((6, 6))
-        for of_a, of_b in _instruments(T_a_b, motions, poses_c, linear.frobenius):
-            shared += linear.gram(of_a, of_b)
-            own += 0.5 * (linear.gram(of_a, of_a) + linear.gram(of_b, of_b))
-        found.append(split(
-            0.5 * (shared + shared.T), own,
-            _instruments(T_a_b, motions, poses_c, linear.frobenius), block_length(motions)))
+        found.append(split_equations(T_a_b, motions, linear.frobenius))
     return min(found, key=lambda excited: len(excited.unobserved))
 
 

@@ -7,11 +7,9 @@ import numpy as np
 from trajectory_calibration.config.prior import FIXED, Prior
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
-
-# A prior this many standard deviations from the motion contradicts it.
-_CONTRADICTION = 4.0
+from trajectory_calibration.solvers import DEFAULT_SOLVER
 
 # The correction of an answer by a prior is linear in the rotation up to about this, degrees. An
 # axis that the motion knows worse than that is open: the answer about it is as good as any.
@@ -86,8 +84,8 @@ def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) 
     if np.linalg.norm(axes.T @ turn) > _MOSTLY * np.linalg.norm(turn):
         # Its translation holds for its own rotation only, and that is arbitrary.
         check = ('mostly about an axis that the motion leaves open to this solver; use '
-                 'drift_aware or dnl, or drive so that the motion shows the rotation, about two '
-                 'axes')
+                 f'{DEFAULT_SOLVER} or a joint solver (dnl), or drive so that the motion shows '
+                 'the rotation, about two axes')
         if not np.isfinite(prior.rotation_std).any():
             what = 'prior of the translation'
             check = f'{check}, or give prior_rotation, too'
@@ -168,7 +166,7 @@ def contradictions(
     for k in np.flatnonzero(np.isfinite(prior.std)):
         both = float(np.sqrt(covariance[k, k] + prior.std[k] ** 2))
         distance = abs(float(deviation[k]))
-        if distance > _CONTRADICTION * both:
+        if distance**2 > chi_squared.quantile(1) * both**2:
             what = (f'translation {"xyz"[k]} is {distance:.3g} m' if k < 3 else
                     f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
             found.append(Finding(

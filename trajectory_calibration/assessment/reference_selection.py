@@ -75,16 +75,15 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     if config.reference != AUTOMATIC:
         if not needed and not _fits(config.reference, len(pairs)):
             return ReferenceChoice(usual, (
-                f'{config.solver} needs no reference; {usual} for the relative error, because '
-                f'{config.reference} is too long for {len(pairs)} poses'))
+                f'{usual} for the fit residual: {config.reference} is too long for {len(pairs)} '
+                'poses'))
         return ReferenceChoice(config.reference)
     if not needed:
         return ReferenceChoice(usual)
     try:
         known = most_likely(pairs, config)
     except (MotionError, SolverError) as error:
-        # Whether the motion is enough is for the solver that was asked for to say: what it leaves
-        # open may be allowed, or known beforehand.
+        # Whether the motion is enough is for the solver that was asked for to say.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
     directions, variance = _shown(known, config)
     expected: dict[str, float] = {}
