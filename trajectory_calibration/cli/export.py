@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
               'along it', file=sys.stderr)
         return exit_status.OPEN
-    return 0
+    return exit_status.DONE
 
 
 def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
