@@ -105,8 +105,10 @@ def difference(
     """
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
-    open_limit = _open_limit(config)
-    weak_limit = np.array([config.weak_translation] * 3 + [np.deg2rad(config.weak_rotation)] * 3)
+    # The difference of two answers that are both just known is just known.
+    open_limit = np.sqrt(2.0) * _open_limit(config)
+    weak_limit = np.sqrt(2.0) * np.array(
+        [config.weak_translation] * 3 + [np.deg2rad(config.weak_rotation)] * 3)
     _, step, closed, variances = _aligned(T_0, T_1, P, open_limit)
     whitened = (closed @ (step / open_limit)) / np.sqrt(variances)
     chi_squared, dof = float(whitened @ whitened), len(variances)
