@@ -51,8 +51,8 @@ def test_planar_motion_leaves_the_height_open(solver, noise):
         assert unobserved == {'z'}
         near = 30 if solver_info(solver).separable else 5
         np.testing.assert_allclose(found.T_a_b[:2, 3], CAMERA[:2, 3], atol=near * noise + 1e-8)
-    # Not the distance at which noise happens to balance noise.
-    assert abs(found.T_a_b[2, 3]) < 15
+    # Not the kilometres at which noise happens to balance noise.
+    assert abs(found.T_a_b[2, 3]) < 100
     (height,) = (item for item in found.observability.weak_axes
                  if item.kind == 'translation' and abs(item.axis[2]) > 0.99)
     assert height.std > 5

@@ -33,8 +33,9 @@ _UNDETERMINED = 1e-12
 # Weight, relative to the rotation's part of a form, of what holds an undetermined rotation.
 _HOLD = 1e-9
 
-# What holds an implausible translation outweighs the motion by at least this.
-_FIRMLY = 1e9
+# Standard deviation, metres, of a translation that means nothing: far beyond the unknown, because
+# published rows are 20 and 100 m off. What holds it outweighs the motion by at least this.
+_IMPLAUSIBLE, _FIRMLY = 10 * UNKNOWN[0], 1e9
 
 # The smallest root mean square motion (radians; metres a metre of the way from the origin) that
 # is more than rounding.
@@ -216,7 +217,7 @@ def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
     any turn explains by kilometres: with ``variance`` of a residual, m^2, such a t means nothing.
     """
     eigenvalues, axes = np.linalg.eigh(turns)
-    least = variance / UNKNOWN[0]**2
+    least = variance / _IMPLAUSIBLE**2
     open_ = axes[:, eigenvalues < least]
     hold: FloatArray = _FIRMLY * least * open_ @ open_.T
     return hold
