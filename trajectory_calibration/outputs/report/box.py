@@ -73,7 +73,7 @@ def facts_list(result: CalibrationResult, driven: str) -> str:
         facts.append(('clock drift', f'{1e6 * result.clock_drift:+.1f} ppm'))
     facts.append(('scale of b', f'{result.scale:.6g}'))
     jumps = (result.diagnosis or {}).get('jumps')
-    if jumps is not None:
+    if jumps:
         facts.append(('jumps excluded', f'{len(jumps)}'))
     elif result.inliers is not None:
         facts.append(('motions kept', f'{np.count_nonzero(result.inliers)} of {result.motions}'))

@@ -33,8 +33,7 @@ def _tracks(data: ReportData) -> str:
     a, b = result.frame_a, result.frame_b
     dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'
     key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', dots), ('gap', 'gap'))
-    jumps = (f'{len(tracks.jumps)} jumps were excluded'
-             if len(tracks.jumps) else 'no jump was found')
+    jumps = f'{len(tracks.jumps)} jumps' if len(tracks.jumps) else 'no jumps'
     reading = (f'The tracks are {metres(usual)} apart in the median and {metres(largest)} at '
                f'most{share}; {jumps}.')
     angle = float(np.quantile(tracks.angle_deg, 0.5))

@@ -18,8 +18,10 @@ from trajectory_calibration.time_alignment.align import match_at
 from trajectory_calibration.time_alignment.clock_offset import Clock
 from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
 
-# A step in which the tracks part by this many usual ones is a jump, for solvers that name none.
+# A step in which the tracks part by this many usual ones is a jump, also where no solver says so.
 _JUMP = 12.0
+# Poses farther apart than this many usual steps tell no velocity.
+_NEAR = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +81,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
     pairs = match_at(a, b.scaled(result.scale), clock, result.config)
     poses_b = _without_drift(pairs.poses_b, result.diagnosis)
+    poses_b = _in_time(poses_b, pairs.stamps_ns, result.diagnosis)
     pairs = PosePairs(pairs.stamps_ns, pairs.poses_a, poses_b, pairs.summary)
     poses_c = poses_b @ se3.inverse(result.T_a_b)
     poses_c = _registration(pairs.poses_a, poses_c) @ poses_c
@@ -146,6 +149,23 @@ def _without_drift(poses_b: FloatArray, diagnosis: dict[str, Any] | None) -> Flo
     return corrected
 
 
+def _in_time(
+    poses_b: FloatArray, stamps_ns: NDArray[np.int64], diagnosis: dict[str, Any] | None,
+) -> FloatArray:
+    """Move the positions of b to where they belong, where they are older than the attitude."""
+    latency = float((diagnosis or {}).get('latency_s', 0.0))
+    if not latency:
+        return poses_b
+    seconds = (stamps_ns - stamps_ns[0]) * 1e-9
+    # As far as neighbours tell a velocity: a jump in a gap is none.
+    near = np.diff(seconds) <= _NEAR * float(np.median(np.diff(seconds)))
+    known = np.concatenate([[True], near]) & np.concatenate([near, [True]])
+    velocity = np.gradient(poses_b[:, :3, 3], seconds, axis=0) * known[:, None]
+    moved = poses_b.copy()
+    moved[:, :3, 3] += latency * velocity
+    return moved
+
+
 def _registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
     """Return (4, 4), what moves one track as a whole onto another, by rotations and positions."""
     R_a, R_c = poses_a[:, :3, :3], poses_c[:, :3, :3]
@@ -165,15 +185,16 @@ def _registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
 def _jumps(
     diagnosis: dict[str, Any] | None, pairs: PosePairs, poses_c: FloatArray,
 ) -> NDArray[np.intp]:
-    """Return the indices of the poses after a jump: as named by the solver, or by their size."""
-    if diagnosis is not None:
+    """Return the indices of the poses after a jump: named by the solver, or large."""
+    named = np.zeros(0, dtype=np.intp)
+    if diagnosis is not None and diagnosis['jumps']:
         stamps = np.array([jump['stamp_ns'] for jump in diagnosis['jumps']], dtype=np.int64)
         after = np.searchsorted(pairs.stamps_ns, stamps)
         after = np.clip(after, 1, len(pairs) - 1)
         before = np.maximum(after - 1, 1)
         nearer = (np.abs(pairs.stamps_ns[before] - stamps)
                   < np.abs(pairs.stamps_ns[after] - stamps))
-        return np.unique(np.where(nearer, before, after))
+        named = np.where(nearer, before, after)
     A = se3.inverse(pairs.poses_a[:-1]) @ pairs.poses_a[1:]
     C = se3.inverse(poses_c[:-1]) @ poses_c[1:]
     parted = se3.log_se3(se3.inverse(A) @ C)
@@ -181,4 +202,4 @@ def _jumps(
     for part in (parted[:, :3], parted[:, 3:]):
         size = np.linalg.norm(part, axis=1)
         found |= size > max(_JUMP * float(np.median(size)), 1e-9)
-    return np.flatnonzero(found) + 1
+    return np.unique(np.concatenate([named, np.flatnonzero(found) + 1]))
