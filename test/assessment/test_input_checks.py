@@ -191,3 +191,10 @@ def test_captures_of_a_vehicle_that_stands_still_are_named_with_their_setting(sh
     found = calibrate(a, b, CalibrationConfig(association='nearest', max_time_difference=0.74))
     assert found.poses == 20
     assert np.sqrt(np.diag(found.covariance)[:3]).max() < 0.01
+
+
+@pytest.mark.parametrize('name', ['legged', 'forklift (flat)'])
+def test_one_that_is_inverted_is_named_where_the_vehicle_hardly_tilts(name):
+    a, b = pair(name)
+    with pytest.raises(MotionError, match=r'does a hold inverted poses .* Use --invert-a$'):
+        checked(inverted(a), b)

@@ -21,6 +21,7 @@ from trajectory_calibration.assessment.orientation_checks import (
 )
 from trajectory_calibration.assessment.rigid_fit import (
     best_fit,
+    fit_like,
     fits,
     growth,
     NOT_BY_NOISE,
@@ -37,8 +38,9 @@ from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import Clock
 
 # Another reading of the numbers is the explanation where it leaves this share of the misfit.
-_MUCH_LESS = 1 / 3
-# With less than this share of the misfit of two bodies, a mirrored world is not looked for.
+_MUCH_LESS = 0.5
+# With less than this share of the misfit of two bodies, no other reading is looked for. With more
+# it may be one: a vehicle that hardly rolls and pitches looks much the same in all of them.
 _LITTLE_LEFT = 0.2
 
 # Beyond these shares of the turns and of the way, over every lag, the two have nothing in common.
@@ -84,8 +86,8 @@ def check_pairs(
         return ()
     if found.misfit > _LITTLE_LEFT:
         _refuse_mirrored(found, pairs, f'{a.sensor_frame} and {b.sensor_frame}')
-    if not found.one_body:
         _refuse_other_reading(found, pairs, a, b, config)
+    if not found.one_body:
         _refuse_two_bodies(pairs, a, b)
     elif _are_inverted(pairs, a, b):
         raise MotionError(
@@ -168,17 +170,17 @@ def _looks_inverted(steps: tuple[float, float], factor: float) -> bool:
 
 
 # What was written, the option that reads it, and how: the poses as they were meant.
-_Reading = tuple[str, str, Callable[[FloatArray], FloatArray]]
+_Read = Callable[[FloatArray], FloatArray]
 
 
-def _reordered(shift: int) -> Callable[[FloatArray], FloatArray]:
+def _reordered(shift: int) -> _Read:
     def read(poses: FloatArray) -> FloatArray:
         q = np.roll(se3.rotation_to_quaternion(poses[:, :3, :3]), shift, axis=1)
         return se3.from_rotation_translation(se3.quaternion_to_rotation(q), poses[:, :3, 3])
     return read
 
 
-_READINGS: tuple[_Reading, ...] = (
+_READINGS: tuple[tuple[str, str, _Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
     ('inverted poses (of the world in the sensor)', '--invert{}', se3.inverse),
@@ -186,17 +188,15 @@ _READINGS: tuple[_Reading, ...] = (
 
 
 def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
-    """Raise MotionError where a mirrored world explains what is left.
-
-    A vehicle that hardly rolls and pitches looks in it like one whose sensor hangs upside down.
-    """
-    for mirrored in fits(pairs, mirrored=True, seconds=(found.lag_s,)):
-        if mirrored.one_body and mirrored.misfit < _MUCH_LESS * found.misfit:
-            raise MotionError(
-                f'one of {frames} is in a left-handed frame: with one axis of its world mirrored, '
-                f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way '
-                f'stay unexplained, as they are {found.turn_share:.1%} and '
-                f'{found.way_share:.1%}. Export it in a right-handed frame')
+    """Raise MotionError where a mirrored world explains what is left."""
+    mirrored = fit_like(found, pairs, mirrored=True)
+    if mirrored is not None and mirrored.one_body and (
+            mirrored.misfit < _MUCH_LESS * found.misfit):
+        raise MotionError(
+            f'one of {frames} is in a left-handed frame: with one axis of its world mirrored, '
+            f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way '
+            f'stay unexplained, as they are {found.turn_share:.1%} and '
+            f'{found.way_share:.1%}. Export it in a right-handed frame')
 
 
 def _refuse_other_reading(
@@ -204,7 +204,7 @@ def _refuse_other_reading(
 ) -> None:
     """Raise MotionError where another reading of the numbers makes the two those of one body."""
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    candidates = [item for item in _other_readings(pairs, a, b, config)
+    candidates = [item for item in _other_readings(found, pairs, a, b, config)
                   if item[0].one_body and item[0].misfit < _MUCH_LESS * found.misfit]
     if not candidates:
         return
@@ -216,24 +216,36 @@ def _refuse_other_reading(
 
 
 def _other_readings(
-    pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+    found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> Iterator[tuple[RigidFit, str, str]]:
-    """Yield how well other readings fit, what they are, and the options for them."""
+    """Yield how well other readings fit, what they are, and the options for them.
+
+    Of two that are not one body as they are read, the clocks are not known either: they are
+    matched anew. Of one body they are.
+    """
+    def read_pairs(read: _Read, sensors: str) -> RigidFit | None:
+        changed = replace(
+            pairs, poses_a=read(pairs.poses_a) if 'a' in sensors else pairs.poses_a,
+            poses_b=read(pairs.poses_b) if 'b' in sensors else pairs.poses_b)
+        return fit_like(found, changed) if found.one_body else best_fit(changed)
+
+    def read_anew(read: _Read, name: str) -> RigidFit | None:
+        given = {'a': a, 'b': b}
+        given[name] = replace(given[name], poses=read(given[name].poses))
+        with suppress(AssociationError):
+            return best_fit(match(given['a'], given['b'], config)[1])
+        return None
+
     for what, option, read in _READINGS[:2]:
-        both = best_fit(replace(
-            pairs, poses_a=read(pairs.poses_a), poses_b=read(pairs.poses_b)))
+        both = read_pairs(read, 'ab')
         if both is not None:
             yield both, f'do both hold {what}', option.format('')
     for what, option, read in _READINGS:
         single = []
         for name, trajectory in (('a', a), ('b', b)):
-            # The clocks are known only where both turn alike.
-            other = replace(trajectory, poses=read(trajectory.poses))
-            with suppress(AssociationError):
-                _, rematched = match(*((other, b) if name == 'a' else (a, other)), config)
-                fit = best_fit(rematched)
-                if fit is not None:
-                    single.append((fit, name, trajectory))
+            fit = read_pairs(read, name) if found.one_body else read_anew(read, name)
+            if fit is not None:
+                single.append((fit, name, trajectory))
         if read is se3.inverse:
             yield from _inverted_one(single)
         else:

@@ -86,13 +86,18 @@ def fits(
                 yield found
 
 
+def fit_like(other: RigidFit, pairs: PosePairs, *, mirrored: bool = False) -> RigidFit | None:
+    """Return the fit of pairs over the lag of another one."""
+    return next(fits(pairs, mirrored=mirrored, seconds=(other.lag_s,)), None)
+
+
 def best_fit(pairs: PosePairs, *, mirrored: bool = False) -> RigidFit | None:
     """Return the first fit of one body, or else the best one; None where there is none."""
     found: list[RigidFit] = []
     for fit in fits(pairs, mirrored=mirrored):
         found.append(fit)
-        if fit.one_body and (fit.lag_s <= _SHORT_S
-                             or growth(found, 'turned_apart') <= NOT_BY_NOISE):
+        if fit.one_body and (fit.lag_s <= _SHORT_S or max(
+                growth(found, 'turned_apart'), growth(found, 'way_apart')) <= NOT_BY_NOISE):
             return fit
     # None of these is one body, however long the lag.
     short = [fit for fit in found if not fit.one_body]
