@@ -116,3 +116,29 @@ def test_import_loads_nothing_heavy(module):
         [sys.executable, '-c', code], check=True, capture_output=True, text=True).stdout.split()
     assert module in loaded
     assert not set(HEAVY) & set(loaded)
+
+
+def every_import(path):
+    """Yield what a module imports anywhere, also for its annotations alone."""
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
+
+
+def test_no_circle_of_files():
+    """Not under TYPE_CHECKING either: what needs each other to be read is one file."""
+    waiting = {
+        dotted(path): {name for name in map(own_module, every_import(path))
+                       if name and name != dotted(path)} for path in MODULES}
+    while waiting:
+        free = [module for module, needs in waiting.items() if not needs & waiting.keys()]
+        assert free, f'these import each other: {sorted(waiting)}'
+        for module in free:
+            del waiting[module]
+
+
+@pytest.mark.parametrize('path', MODULES, ids=dotted)
+def test_a_module_fits_on_a_few_screens(path):
+    assert len(path.read_text(encoding='utf-8').splitlines()) <= 400

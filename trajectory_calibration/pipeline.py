@@ -25,6 +25,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import MotionError, SolverError, TrajectoryError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.solvers.solution import Solver
 from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.pairing import association_findings, UNPAIRED_SHARE
 
@@ -67,7 +68,7 @@ def calibrate(
                 f'{name} is of type {type(given).__name__}, needed a Trajectory; build one from '
                 'stamps and poses, or load a file with FileSource')
     config = config or CalibrationConfig()
-    solve = load_solver(config.solver)
+    solve: Solver = load_solver(config.solver)
     trajectory_b = trajectory_b.scaled(config.scale)
     check_orientations(trajectory_a, trajectory_b, config)
     clock, pairs = match(trajectory_a, trajectory_b, config)

@@ -4,7 +4,6 @@ from trajectory_calibration.solvers.registry import (
     DEFAULT_SOLVER,
     load_solver,
     noise_identifier,
-    Solver,
     solver_info,
     SOLVER_NAMES,
     SolverInfo,
@@ -15,7 +14,6 @@ from trajectory_calibration.solvers.registry import (
 __all__ = [
     'DEFAULT_SOLVER',
     'SOLVER_NAMES',
-    'Solver',
     'SolverInfo',
     'load_solver',
     'noise_identifier',

@@ -7,38 +7,21 @@ of a reference read these rows. Another package adds rows through the entry poin
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Protocol, TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.errors import ConfigError
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-    from trajectory_calibration.config.settings import CalibrationConfig
-    from trajectory_calibration.data.motion_pairs import MotionPairs
-    from trajectory_calibration.solvers.solution import Solution
-
 GROUP = 'trajectory_calibration.solvers'
 DEFAULT_SOLVER = 'drift_aware'
 
 # Terms of the model beside the extrinsic that a solver may estimate; each has a ..._mode setting.
 TERMS = ('scale', 'systematic_drift', 'time_offset')
-
-
-class Solver(Protocol):
-    """A function from relative motions to an extrinsic.
-
-    It needs no initial guess and leaves its input untouched. It always returns an answer: what
-    the motion does not determine is as near as possible to the prior, or to zero, and its
-    covariance says so. It raises ``MotionError`` only where nothing moved, and ``SolverError``
-    where its method fails.
-    """
-
-    def __call__(self, motions: MotionPairs, config: CalibrationConfig) -> Solution:
-        """Return the extrinsic that the motions determine."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -49,7 +32,7 @@ class SolverInfo:
     ----------
     name : how it is asked for.
     sentence : what it does, for a list of solvers.
-    function : the solver, or 'module:name' of it, which is imported on first use.
+    function : the solver (``solution.Solver``), or its 'module:name', imported on first use.
     needs_reference : whether it works on the relative motions to a reference; without, it works
         on the pose pairs, and a reference changes only the residuals that are reported.
     estimates : which of ``TERMS`` it can estimate.
@@ -62,19 +45,19 @@ class SolverInfo:
 
     name: str
     sentence: str
-    function: str | Solver
+    function: str | Callable[..., Any]
     needs_reference: bool = True
     estimates: frozenset[str] = frozenset()
     rejects_outliers: bool = False
     separable: bool = False
     identifies_noise: bool = False
 
-    def load(self) -> Solver:
+    def load(self) -> Callable[..., Any]:
         """Return the function; its module, and CasADi where it needs it, load now."""
         if not isinstance(self.function, str):
             return self.function
         module, _, name = self.function.partition(':')
-        function: Solver = getattr(import_module(module), name)
+        function: Callable[..., Any] = getattr(import_module(module), name)
         return function
 
 
@@ -123,7 +106,7 @@ def solvers() -> tuple[SolverInfo, ...]:
     return (*_ROWS, *map(_row, _of_other_packages().values()))
 
 
-def load_solver(name: str) -> Solver:
+def load_solver(name: str) -> Callable[..., Any]:
     """Return the solver of that name; raises as ``solver_info``."""
     return solver_info(name).load()
 

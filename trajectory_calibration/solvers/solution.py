@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry.se3 import FloatArray
-
-if TYPE_CHECKING:
-    from trajectory_calibration.solvers.drift_aware.diagnosis import Diagnosis
+from trajectory_calibration.solvers.diagnosis import Diagnosis
 
 # Standard deviations that stand for "unknown", metres and radians: no two sensors of one vehicle
 # are farther apart. More would let the unknown direction, which noise tilts, spill into others.
@@ -82,3 +82,17 @@ class Solution:
     scale: float = 1.0
     time_offset_s: float = 0.0
     diagnosis: Diagnosis | None = None
+
+
+class Solver(Protocol):
+    """A function from relative motions to an extrinsic.
+
+    It needs no initial guess and leaves its input untouched. It always returns an answer: what
+    the motion does not determine is as near as possible to the prior, or to zero, and its
+    covariance says so. It raises ``MotionError`` only where nothing moved, and ``SolverError``
+    where its method fails.
+    """
+
+    def __call__(self, motions: MotionPairs, config: CalibrationConfig) -> Solution:
+        """Return the extrinsic that the motions determine."""
+        ...

@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import SourceError, TopicError
 from trajectory_calibration.sources.cdr import TF, TRAJECTORY_TYPES
+from trajectory_calibration.sources.channels import Channel
 from trajectory_calibration.sources.storage import (
     Bag,
-    Channel,
     describe_damage,
     find_bag,
     open_storage,

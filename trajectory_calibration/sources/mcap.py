@@ -13,8 +13,8 @@ from pathlib import Path
 import struct
 from zlib import crc32
 
+from trajectory_calibration.sources.channels import Batch, Channel, plain_type
 from trajectory_calibration.sources.packing import unpack
-from trajectory_calibration.sources.storage import Batch, Channel, plain_type
 
 _MAGIC = b'\x89MCAP0\r\n'
 _FOOTER = 0x02

@@ -11,8 +11,8 @@ import mmap
 from pathlib import Path
 import struct
 
+from trajectory_calibration.sources.channels import Batch, Channel, plain_type
 from trajectory_calibration.sources.packing import unpack
-from trajectory_calibration.sources.storage import Batch, Channel, plain_type
 
 _MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 import sqlite3
 
-from trajectory_calibration.sources.storage import Batch, Channel, plain_type
+from trajectory_calibration.sources.channels import Batch, Channel, plain_type
 
 # Few enough rows for the cache, enough to make NumPy's overhead vanish.
 _BLOCK = 2048

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 import re
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 from trajectory_calibration.errors import SourceError
+from trajectory_calibration.sources.channels import Batch, Channel
 from trajectory_calibration.sources.packing import unpack_zstd, unpack_zstd_file, ZSTD_MAGIC
 from trajectory_calibration.sources.text import refuse_pointer
 
@@ -17,24 +18,6 @@ _STORAGE_SUFFIXES = ('.mcap', '.db3')
 _PACKED_SUFFIXES = ('.zstd', '.zst')
 _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
 _SOME = 9
-_OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
-
-
-class Channel(NamedTuple):
-    """A topic in a file: its name, its type, how many messages, how they are serialised."""
-
-    topic: str
-    msgtype: str
-    messages: int
-    encoding: str = 'cdr'
-
-
-class Batch(NamedTuple):
-    """Messages of one channel: times of reception in nanoseconds, and the serialised data."""
-
-    channel: Channel
-    received_ns: list[int]
-    messages: list[bytes]
 
 
 class Storage(Protocol):
@@ -78,13 +61,6 @@ class Bag:
     files: tuple[Path, ...]
     declared: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-
-def plain_type(msgtype: str) -> str:
-    """Return a type as ROS 2 names it: nav_msgs/Odometry as nav_msgs/msg/Odometry."""
-    package, _, name = msgtype.partition('/')
-    full = msgtype if '/' in name or not name else f'{package}/msg/{name}'
-    return _OLD_NAMES.get(full, full)
 
 
 def find_bag(path: Path) -> Bag:

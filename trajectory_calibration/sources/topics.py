@@ -15,8 +15,8 @@ from trajectory_calibration.errors import SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
+from trajectory_calibration.sources.channels import Batch
 from trajectory_calibration.sources.deserialise import Deserialiser
-from trajectory_calibration.sources.storage import Batch
 from trajectory_calibration.sources.times import require_own_stamps
 from trajectory_calibration.sources.transforms import parse_tf, TransformTree
 

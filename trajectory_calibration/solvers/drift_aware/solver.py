@@ -22,10 +22,10 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
+from trajectory_calibration.solvers.drift_aware.covariance import covariance
 from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findings_of
 from trajectory_calibration.solvers.drift_aware.drive import Drive, TERMS
 from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
-from trajectory_calibration.solvers.drift_aware.spread import covariance
 from trajectory_calibration.solvers.drift_aware.starts import start
 from trajectory_calibration.solvers.solution import Solution
 
