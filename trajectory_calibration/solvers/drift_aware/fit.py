@@ -162,6 +162,6 @@ def _cuts(jumps: FloatArray) -> NDArray[np.bool_]:
 def _breaks(drive: Drive, state: State) -> FloatArray:
     """Return (N - 1, 2) the variances of jumps; a gap is one of whatever size may be."""
     jumps = find_jumps(drive, correct(drive, state))
-    extent = float(np.ptp(drive.p_b, axis=0).max())
+    extent = float(np.linalg.norm(drive.p_b, axis=1).max())
     jumps[drive.gap] = [extent**2 + 1e-12, np.pi**2]
     return jumps

@@ -25,7 +25,7 @@ _CONSTANT = (log_gamma((_TAILS + 3) / 2) - log_gamma(_TAILS / 2)
 # The squares are counted in so many classes of their logarithm, over so many decades.
 _CLASSES = 100
 _DECADES = 1e-16
-_ITERATIONS = 40
+_ITERATIONS = 30
 
 # The wide component is at least this many times as wide (variance), the share of jumps limited.
 _WIDER = 25.0
@@ -41,6 +41,8 @@ def find_jumps(drive: Drive, at: Corrected) -> FloatArray:
     result = np.zeros((last, 2))
     for column, part in enumerate((TRANSLATION, ROTATION)):
         short, variance = jump_probability((one[:, part]**2).sum(axis=1))
+        if (short <= _PROBABILITY).all():
+            continue
         long, _ = jump_probability((three[:, part]**2).sum(axis=1))
         result[:, column] = np.where(
             (short > _PROBABILITY) & (long > _PROBABILITY), variance, 0.0)

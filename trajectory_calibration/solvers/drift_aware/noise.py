@@ -100,7 +100,7 @@ def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
     """Return the (2,) variances, neither so small that what the other tells drowns in rounding."""
-    extent = float(np.ptp(drive.p_a, axis=0).max())**2 + _LEAST
+    extent = float((drive.p_a**2).sum(axis=1).max()) + _LEAST
     translation = max(white[0], _LEAST, _RATIO * white[1] * extent)
     return np.array([translation, max(white[1], _LEAST, _RATIO * translation / extent)])
 

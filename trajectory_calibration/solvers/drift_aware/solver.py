@@ -36,7 +36,7 @@ MIN_POSES = 10
 _ENOUGH = 2000
 # A fit to about this many poses comes first where there are more than twice as many.
 _COARSE = 400
-_COARSE_ROUNDS = 8
+_COARSE_ROUNDS = 7
 
 # Change of position (metres, and relative to the distance from the origin) that is rounding.
 _NO_MOTION = 1e-9

@@ -8,7 +8,6 @@ smallest median residuals over all lags wins: jumps and outliers do not decide.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,8 +89,8 @@ def _best(drive: Drive) -> tuple[State, float]:
     """Return the best start, and the logarithm of its median residuals."""
     lags = sorted({_poses(drive, seconds) for seconds in _LAGS_S})
     motions = [_motions(drive, lag) for lag in lags]
-    size = float(np.abs(drive.p_a).max()) + 1e-9
-    found = [T for one in motions for T in _candidates(one)]
+    size = float(np.linalg.norm(drive.p_a, axis=1).max()) + 1e-9
+    found = [_candidate(one) for one in motions]
     costs = [np.mean([_misfit(T, one, size) for one in motions]) for T in found]
     best = int(np.argmin(costs))
     return State(found[best], np.zeros(6)), float(costs[best])
@@ -109,17 +108,22 @@ def _misfit(T_a_b: FloatArray, motions: _Motions, size: float) -> float:
                  + np.log(np.median(np.linalg.norm(e[:, ROTATION], axis=1)) + 1e-9))
 
 
-def _candidates(motions: _Motions) -> Iterator[FloatArray]:
+def _candidate(motions: _Motions) -> FloatArray:
+    """Return an extrinsic from the motions of one lag."""
     of_a, of_b = log(motions.R_a), log(motions.R_b)
     w = np.ones(len(of_a))
     for _ in range(_REWEIGHTINGS):
         U, values, Vt = np.linalg.svd((w[:, None] * of_a).T @ of_b)
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         w = _trust(np.linalg.norm(of_a - of_b @ R.T, axis=1))
-    quarters = range(4) if values[1] < _ONE_AXIS * values[0] else range(1)
-    for quarter in quarters:
-        turn = exp(0.5 * np.pi * quarter * U[:, :1].T)[0]
-        yield _refined(turn @ R, motions)
+    begun = [from_rotation_translation(R, np.zeros(3))]
+    if values[1] < _ONE_AXIS * values[0]:
+        # What the rotations leave open, the translations tell: by quarters first.
+        turns = exp(0.5 * np.pi * np.arange(4)[:, None] * U[:, 0])
+        begun = [from_rotation_translation(turn @ R, np.zeros(3)) for turn in turns]
+    begun = [_refined(T, motions, 1) for T in begun]
+    best = min(begun, key=lambda T: _misfit(T, motions, 1.0))
+    return _refined(best, motions, _REWEIGHTINGS)
 
 
 def _trust(sizes: FloatArray) -> FloatArray:
@@ -127,16 +131,16 @@ def _trust(sizes: FloatArray) -> FloatArray:
     return 1 / (1 + (sizes / (np.median(sizes) + 1e-12))**2)
 
 
-def _refined(R: FloatArray, motions: _Motions) -> FloatArray:
-    """Return the extrinsic near a rotation that fits the motions: robust Gauss-Newton."""
-    state = State(from_rotation_translation(R, np.zeros(3)), np.zeros(6))
-    for round_ in range(_REWEIGHTINGS + 2):
+def _refined(T_a_b: FloatArray, motions: _Motions, rounds: int) -> FloatArray:
+    """Return the extrinsic nearby that fits the motions: robust Gauss-Newton."""
+    state = State(T_a_b, np.zeros(6))
+    for _ in range(rounds):
         e, turn, way = motions.residuals(state.T_a_b)
         J = np.zeros((len(e), 6, 6))
         J[:, TRANSLATION, TRANSLATION] = np.eye(3) - turn
         J[:, TRANSLATION, ROTATION] = -skew(way)
         J[:, ROTATION, ROTATION] = transposed(turn) - np.eye(3)
-        if not round_:
+        if rounds == 1:
             # The rotation is good; the lever arm has to follow first.
             J[:, :, ROTATION] = 0.0
         root = []
