@@ -96,7 +96,7 @@ _FINDS_SCALE, _FINDS_DRIFT = (
 
 # What may become of a term that both trajectories share.
 MODES = ('fixed', 'estimate', 'auto')
-_MODES = 'fixed: taken as given; estimate: found; auto: found where the data support it'
+_MODES = 'estimate: always estimated; auto: estimated if significant'
 
 
 @dataclass(frozen=True)
@@ -111,46 +111,48 @@ class CalibrationConfig:
     """
 
     solver: str = _option(
-        DEFAULT_SOLVER, 'method that finds the extrinsic', choices=SOLVER_NAMES, extensible=True)
+        DEFAULT_SOLVER, 'calibration method', choices=SOLVER_NAMES, extensible=True)
     reference: str = _option('auto', f'reference pose of each motion: {REFERENCE_HELP}')
     association: str = _option(
-        'auto', 'how poses of a and b are paired in time: interpolate a at the stamps of b, pair '
-        'the nearest, or (auto) interpolate whichever has more poses a second, but keep to '
-        'coinciding stamps where most are',
+        'auto', 'how poses of a and b are paired in time. interpolate: a is interpolated at the '
+        'stamps of b; nearest: no interpolation; auto: the sensor with more poses a second is '
+        'interpolated, unless most stamps coincide',
         choices=METHODS)
     max_gap: float = _option(
-        0.5, 'longest gap that interpolation bridges, of the sensor that is interpolated, seconds',
+        0.5, 'longest gap between two poses that are interpolated, seconds',
         minimum=0.0, maximum=3600.0)
     max_time_difference: float = _option(
-        0.02, 'largest time between the poses of a pair for nearest, seconds',
+        0.02, 'largest time between the two poses of a pair with nearest, seconds',
         minimum=0.0, maximum=3600.0)
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
-        'auto', f'{_MODES}, around time_offset; not fixed, a clock that drifts is corrected as '
-        'well', choices=MODES)
+        'auto', f'fixed: time_offset is used; {_MODES}. Unless fixed, clock drift is corrected, '
+        'too', choices=MODES)
     max_time_offset: float = _option(
-        5.0, 'largest clock offset that is looked for around time_offset, seconds; 0 leaves the '
-        'clocks alone', minimum=0.0, maximum=3600.0)
+        5.0, 'largest difference from time_offset that is searched, seconds; 0 leaves the clocks '
+        'alone', minimum=0.0, maximum=3600.0)
     scale: float = _option(
-        1.0, 'metres of a per metre of b; b is multiplied by it', minimum=1e-6, maximum=1e6)
+        1.0, 'metres of a per metre of b; the positions of b are multiplied by it',
+        minimum=1e-6, maximum=1e6)
     scale_mode: str = _option(
-        'auto', f'{_MODES}, unless scale is other than 1; only {_FINDS_SCALE} finds it',
+        'auto', f'fixed: scale is used; {_MODES}, unless scale is not 1. Only {_FINDS_SCALE} '
+        'estimates it',
         choices=MODES)
     systematic_drift_mode: str = _option(
-        'auto', f'constant drift of b per metre along its axes; only {_FINDS_DRIFT} finds it: '
-        f'{_MODES}', choices=MODES)
+        'auto', 'constant drift of b per metre along its axes. fixed: none; '
+        f'{_MODES}. Only {_FINDS_DRIFT} estimates it', choices=MODES)
     dnlo_c: float = _option(
-        0.01, 'cost c of rejecting a motion (dnlo): squared residual beyond which it is an '
+        0.01, 'cost c of rejecting a motion (dnlo): a motion with a larger squared residual is an '
         'outlier', minimum=0.0, maximum=1e6)
     dnlo_min_inliers: float = _option(
-        0.5, 'least fraction d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
+        0.5, 'smallest share d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
     dnlo_method: str = _option(
-        'auto', 'how dnlo finds its minimum; auto chooses by the number of motions',
+        'auto', 'how dnlo minimises; auto chooses by the number of motions',
         choices=('auto', 'ipopt', 'path', 'alternating'))
 
     prior_translation: str = _option(
-        '', 'known position of b in a, metres: x,y,z with - for an unknown one; empty: none')
+        '', 'known position of b in a, metres: x,y,z with - for unknown; empty: none')
     prior_translation_std: str = _option(
         '', 'standard deviations of prior_translation, metres: one number, or x,y,z; 0 fixes a '
         'component')
@@ -158,7 +160,7 @@ class CalibrationConfig:
         '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
     prior_rotation_std: str = _option(
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
-        'three with - for an unknown one; 0 fixes')
+        'three with - for unknown; 0 fixes a component')
     allow_unobserved: bool = _option(
         default=False, text='let the node publish results with unobservable directions, which are '
         'flagged as always')

@@ -216,8 +216,12 @@ def _commented(option: Option) -> Iterable[str]:
         text += f' ({option.minimum:.10g} to {option.maximum:.10g})'
     yield from textwrap.wrap(
         f'{text}.', 92, initial_indent='    # ', subsequent_indent='    # ')
-    default = repr(option.default)
-    yield f'    {option.name}: {default.lower() if option.kind is bool else default}'
+    yield f'    {option.name}: {parameter_text(option.default)}'
+
+
+def parameter_text(value: Any) -> str:
+    """Return a value as YAML has it."""
+    return repr(value).lower() if isinstance(value, bool) else repr(value)
 
 
 if __name__ == '__main__':

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import sys
+import textwrap
 
 from trajectory_calibration.ros.signals import StopSignals
 from trajectory_calibration.version import __version__
@@ -57,11 +58,13 @@ def _run(stop: StopSignals, argv: Sequence[str]) -> int:
 
 def _usage() -> str:
     """Return the usage with every parameter, its default and its meaning."""
-    from trajectory_calibration.online.options import OPTIONS
-    width = max(map(len, OPTIONS))
-    lines = [f'  {name:<{width}}  {option.default!r:<14}  {option.help}'
-             for name, option in OPTIONS.items()]
-    return '\n'.join([_USAGE, 'parameters, defaults and meaning (all in config/calibration.yaml):',
+    from trajectory_calibration.online.options import OPTIONS, parameter_text
+    lines = []
+    for name, option in OPTIONS.items():
+        lines.append(f'  {name}: {parameter_text(option.default)}')
+        lines += textwrap.wrap(
+            option.help, 78, initial_indent='      ', subsequent_indent='      ')
+    return '\n'.join([_USAGE, 'parameters with their defaults (as in config/calibration.yaml):',
                       *lines, ''])
 
 
