@@ -32,9 +32,13 @@ FREE = RigConfig(sensors={'mono': SensorSettings(scale='free')})
 _95 = 1.96
 
 
-def scenario(sensors: int, duration: float, *, outages: bool) -> RigScenario:
+def scenario(
+    sensors: int, duration: float, *, outages: bool, base: str = 'lidar',
+) -> RigScenario:
     """Return a vehicle; with outages, every sensor but one is lost for a while, at any time."""
     found = rig_scenario(sensors, duration)
+    found = replace(found, sensors={
+        name: found.sensors[name] for name in sorted(found.sensors, key=lambda n: n != base)})
     if outages:
         lost = {'lidar': (1, 0.1), 'gnss': (1, 0.25), 'mono': (2, 0.12), 'stereo': (1, 0.2),
                 'radar': (1, 0.15), 'lidar_rear': (1, 0.1), 'camera_rear': (2, 0.1)}
@@ -56,13 +60,15 @@ def direct_answers(rig, run, config):
     return found
 
 
-def accuracy(sensors: int, duration: float, seeds: range, *, outages: bool) -> None:
+def accuracy(
+    sensors: int, duration: float, seeds: range, *, outages: bool, base: str,
+) -> None:
     """Print the errors of rigs beside those of the pairs with the base."""
     config = FREE if sensors > 2 else RigConfig()
     errors, singles, nees, marginal, pair_nees, inside, closure, alarms = (
         [], [], [], [], [], [], [], 0)
     for seed in seeds:
-        run = simulate_rig(scenario(sensors, duration, outages=outages), seed)
+        run = simulate_rig(scenario(sensors, duration, outages=outages, base=base), seed)
         rig = calibrate_rig(run.trajectories, config)
         direct = direct_answers(rig, run, config)
         if set(rig.free) != set(direct):
@@ -85,7 +91,8 @@ def accuracy(sensors: int, duration: float, seeds: range, *, outages: bool) -> N
             for a, b, c in combinations(rig.sensors, 3)) if sensors > 2 else 0.0)
         alarms += any(item.kind != 'clock' for item in rig.contradictions)
     ours, alone = np.array(errors), np.array(singles)
-    print(f'{sensors} sensors, {duration:.0f} s, outages {outages}, {len(ours)} seeds')
+    print(f'{sensors} sensors, base {base}, {duration:.0f} s, outages {outages}, '
+          f'{len(ours)} seeds')
     names = rig.free
     for k, kind in enumerate(('translation, mm', 'rotation, mrad')):
         for part, word in ((np.median, 'median'), (_rms, 'rms')):
@@ -136,7 +143,9 @@ def faults(duration: float, seeds: range, kinds: list[str]) -> None:
                   f'{rms[2] / rms[3]:.3f}')
 
 
-def bound(sensors: int, duration: float, seeds: range, *, outages: bool) -> None:
+def bound(
+    sensors: int, duration: float, seeds: range, *, outages: bool, base: str,
+) -> None:
     """Print what all sensors together could gain over a pair, at the most (Cramer-Rao).
 
     For every sensor: the deviation under the joint likelihood of all windows, relative to that
@@ -144,9 +153,9 @@ def bound(sensors: int, duration: float, seeds: range, *, outages: bool) -> None
     """
     found = []
     for seed in seeds:
-        run = simulate_rig(scenario(sensors, duration, outages=outages), seed)
+        run = simulate_rig(scenario(sensors, duration, outages=outages, base=base), seed)
         X = np.stack(list(run.T_base_sensor.values()))
-        clocks = scenario(sensors, duration, outages=outages).sensors
+        clocks = scenario(sensors, duration, outages=outages, base=base).sensors
         tracks = [Track(
             track.stamps_ns - round(1e9 * clocks[name].clock_offset),
             track.scaled(1 / clocks[name].noise.scale).poses @ se3.inverse(x))
@@ -174,7 +183,8 @@ def bound(sensors: int, duration: float, seeds: range, *, outages: bool) -> None
         own = np.stack([np.diagonal(np.linalg.inv(part)) for part in alone[1:]])
         found.append(np.sqrt(np.diagonal(C).reshape(-1, 6) / own))
     ratio = np.mean(found, axis=0)
-    print(f'{sensors} sensors, outages {outages}: deviation together / of the pair with the base')
+    print(f'{sensors} sensors, base {base}, outages {outages}: '
+          'deviation together / of the pair with the base')
     for name, row in zip(list(run.trajectories)[1:], ratio, strict=True):
         print(f'  {name:12} translation {row[:3].mean():.3f}  rotation {row[3:].mean():.3f}')
     print(f'  median over sensors {np.median(ratio[:, :3].mean(1)):.3f}, '
@@ -245,6 +255,7 @@ def main() -> None:
     parser.add_argument('--first-seed', type=int, default=0)
     parser.add_argument('--duration', type=float, default=None, help='seconds')
     parser.add_argument('--kinds', nargs='+', default=['moved', 'late', 'elsewhere', 'none'])
+    parser.add_argument('--base', default='lidar')
     parser.add_argument('--outages', action='store_true')
     given = parser.parse_args()
     seeds = range(given.first_seed, given.first_seed + given.seeds)
@@ -257,7 +268,7 @@ def main() -> None:
     else:
         for sensors in given.sensors:
             (accuracy if given.what == 'accuracy' else bound)(
-                sensors, given.duration or 120.0, seeds, outages=given.outages)
+                sensors, given.duration or 120.0, seeds, outages=given.outages, base=given.base)
 
 
 if __name__ == '__main__':

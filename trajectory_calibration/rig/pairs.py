@@ -26,6 +26,10 @@ _EVERY_PAIR = 4
 # Sensors that all others are compared with besides the base, where not every pair is.
 _HUBS = 2
 
+# Poses that a pair without the base uses where not every pair is calibrated: it checks the others,
+# and its stated covariance says that it used less.
+_CHECKED_POSES = 2000
+
 # Poses of all pairs together below which a process costs more than it saves.
 _WORTH_PROCESSES = 12_000
 
@@ -84,10 +88,11 @@ def calibrate_pairs(
     given = {name: _thinned(trajectories[name], config.max_poses) for name in names}
     answers: list[PairAnswer] = []
 
-    def extend(wanted: Sequence[tuple[str, str]]) -> None:
+    def extend(wanted: Sequence[tuple[str, str]], most: int = 0) -> None:
         done = {frozenset((answer.parent, answer.child)) for answer in answers}
         tasks = [
-            _Task(parent, child, given[parent], given[child], config)
+            _Task(parent, child, _thinned(given[parent], most), _thinned(given[child], most),
+                  config)
             for parent, child in (_oriented(pair, names, config) for pair in wanted)
             if frozenset((parent, child)) not in done]
         with _mapper(tasks, config.processes) as run:
@@ -99,7 +104,8 @@ def calibrate_pairs(
     extend([(base, name) for name in names[1:]])
     if config.pairs == 'auto':
         hubs = _hubs(answers, names, config)
-        extend([(hub, name) for hub in hubs for name in names if name != hub])
+        extend([(hub, name) for hub in hubs for name in names if name != hub],
+               _CHECKED_POSES)
     # Sensors that the base does not reach may reach each other.
     extend([
         pair for pair in combinations(names, 2)
