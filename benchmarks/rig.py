@@ -129,7 +129,8 @@ def faults(duration: float, seeds: range, kinds: list[str]) -> None:
                 print(f'    seed {seed}: {culprit} {kind}, found {found}')
             if kind in ('moved', 'elsewhere') and culprit != 'lidar':
                 without = calibrate_rig(
-                    {k: v for k, v in run.trajectories.items() if k != culprit}, FREE)
+                    {k: v for k, v in run.trajectories.items() if k != culprit},
+                    FREE if culprit != 'mono' else RigConfig())
                 for name in without.free:
                     if name in rig.sensors and rig.sensors[name].base == 'lidar':
                         a, b = (_sizes(se3.step_between(

@@ -1,6 +1,7 @@
 """``calibrate_rig`` from trajectories to poses, findings and files."""
 
 from itertools import combinations
+import re
 
 import numpy as np
 import pytest
@@ -135,7 +136,7 @@ def test_a_late_clock_is_named_and_corrected():
     run = simulate_rig(vehicle('abcd', faults={'b': Fault(late=0.08)}), 6)
     rig = calibrate_rig(run.trajectories)
     assert [(item.sensor, item.kind) for item in rig.contradictions] == [('b', 'clock')]
-    assert '80 ms late' in rig.contradictions[0].text
+    assert re.search('(79|80|81) ms late', rig.contradictions[0].text)
     assert np.linalg.norm(error(rig, run, 'b')[:3]) < 0.03
 
 
