@@ -42,7 +42,7 @@ def test_layouts_of_real_tools(shared_data, tmp_path, name):
 @pytest.mark.parametrize(('name', 'message'), [
     ('euler7.txt', r'7 columns .*--columns t,x,y,z,roll,pitch,yaw'),
     ('quat_first.txt', r'8 columns .*--columns t,qx,qy,qz,qw,x,y,z or'),
-    ('g2o.g2o', '--times'), ('mat16.txt', '--times')])
+    ('g2o.g2o', '--times'), ('mat16.txt', r'carry no time \(16 columns\); .*--times')])
 def test_what_is_ambiguous_names_its_option(shared_data, name, message):
     with pytest.raises(SourceError, match=message):
         FileSource(shared_data / 'cases/columns' / name).load()

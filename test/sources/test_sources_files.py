@@ -243,7 +243,7 @@ def test_kitti_needs_as_many_times_as_poses(tmp_path):
     pose = '1 0 0 0 0 1 0 0 0 0 1 0'
     path = _write(tmp_path / 'poses.txt', [pose] * 4)
     with pytest.raises(SourceError, match=(
-            r'carry no time; give the file of their times .*--times-a, --times-b')):
+            r'carry no time \(12 columns\); give the file of their times .*--times-a, --times-b')):
         FileSource(path).load()
     with pytest.raises(SourceError, match=r'holds 4 poses and .* 3 times'):
         FileSource(path, times=_write(tmp_path / 't.txt', ['0', '1', '2'])).load()

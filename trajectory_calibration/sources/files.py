@@ -105,8 +105,8 @@ class FileSource:
         stamps_ns, poses = raw.stamps_ns, raw.poses[keep]
         if stamps_ns is None:
             raise SourceError(
-                f'{self.path} holds poses that carry no time; give the file of their times as '
-                'well, one a line: --times-a, --times-b (--times of inspect)')
+                f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
+                'times as well, one a line: --times-a, --times-b (--times of inspect)')
         stamps_ns = stamps_ns[keep]
         name = f'{self.sensor_frame}: {self.path}'
         require_own_stamps(stamps_ns, poses, str(self.path))
@@ -146,7 +146,8 @@ class FileSource:
                 f'{max(layout.pose_columns) + 1}')
         columns = layout.pose_columns
         findings: list[Finding] = []
-        raw = RawPoses(np.zeros((0, 7)), findings=findings)
+        raw = RawPoses(
+            np.zeros((0, 7)), findings=findings, kind=f'{table.width} columns')
         if layout.time is None:
             values = table.read_numbers(columns).values
             finite = np.ones(len(values), dtype=bool)

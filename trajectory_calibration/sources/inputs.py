@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
+from typing import Any
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
@@ -40,7 +41,7 @@ class InputOptions:
     quaternion_order: str | None = None
     time_unit: str | None = None
 
-    def of_files(self) -> dict[str, object]:
+    def of_files(self) -> dict[str, Any]:
         """Return the settings that are given and mean nothing but for a file."""
         names = ('file_format', 'times', 'columns', 'quaternion_order', 'time_unit')
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
@@ -67,7 +68,7 @@ def load_inputs(
         An input cannot be read.
 
     """
-    _require_different([name for name, _ in inputs.values()])
+    _require_different([name for name, _ in inputs.values()], topics=bool(bags))
     from_bags = {name for name, _ in inputs.values() if bags and not Path(name).is_file()}
     for name, options in inputs.values():
         given = options.of_files()
@@ -87,18 +88,17 @@ def load_inputs(
     for sensor, (name, options) in inputs.items():
         trajectory = (
             tracks[name].to_trajectory(options.frame) if name in from_bags else
-            FileSource(name, sensor_frame=options.frame or sensor,
-                       **options.of_files()).load())  # type: ignore[arg-type]
+            FileSource(name, sensor_frame=options.frame or sensor, **options.of_files()).load())
         result[sensor] = (replace(trajectory, poses=se3.inverse(trajectory.poses))
                           if options.invert else trajectory)
     return result
 
 
-def _require_different(names: Sequence[str]) -> None:
+def _require_different(names: Sequence[str], *, topics: bool) -> None:
     """Raise ConfigError where two inputs are one."""
     for k, name in enumerate(names):
         for other in names[:k]:
-            if name.lstrip('/') == other.lstrip('/'):
+            if name == other or (topics and name.lstrip('/') == other.lstrip('/')):
                 raise ConfigError(f'{name} is given twice; two sensors are needed')
             if _same_file(name, other):
                 raise ConfigError(f'{other} and {name} are the same; two sensors are needed')

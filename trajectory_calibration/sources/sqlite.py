@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 import json
 from pathlib import Path
 import sqlite3
+from typing import Any
 
 from trajectory_calibration.sources.channels import Batch, Channel, plain_type
 
-# Few enough rows for the cache, enough to make NumPy's overhead vanish.
-_BLOCK = 2048
+# Few enough rows for the cache; enough messages to make NumPy's overhead vanish.
+_BLOCK, _BATCH = 256, 4096
+# Bytes that are mapped, not read.
+_MAPPED = 2**31
 # Rows without one that can be read, in a row, after which there are none left.
 _LONGEST_STRIDE = 2**32
 
@@ -36,6 +39,7 @@ class SqliteFile:
             # Without it, sqlite refuses a file that is shorter than its header says. The file
             # is open read-only: nothing is written.
             self._connection.execute('PRAGMA writable_schema = ON')
+            self._connection.execute(f'PRAGMA mmap_size = {_MAPPED}')
             self._topics = {
                 topic_id: Channel(str(name), plain_type(str(msgtype)), 0, str(encoding))
                 for topic_id, name, msgtype, encoding in self._connection.execute(
@@ -49,12 +53,19 @@ class SqliteFile:
     def messages(self, topics: Collection[str]) -> Iterator[Batch]:
         """Yield the messages of some topics in the order of the file."""
         wanted = [key for key, channel in self._topics.items() if channel.topic in topics]
-        for rows in self._rows(wanted):
-            for topic_id in wanted:
-                chosen = rows if len(wanted) == 1 else [row for row in rows if row[1] == topic_id]
-                if chosen:
-                    _, _, received_ns, messages = zip(*chosen, strict=True)
-                    yield Batch(self._topics[topic_id], list(received_ns), list(messages))
+        gathered: dict[int, tuple[list[Any], list[Any]]] = {key: ([], []) for key in wanted}
+        for ids, times, data in self._rows(wanted):
+            for topic_id, lists in gathered.items():
+                mine = [k for k, other in enumerate(ids) if other == topic_id] if (
+                    len(wanted) > 1) else None
+                for target, column in zip(lists, (times, data), strict=True):
+                    target.extend(column if mine is None else [column[k] for k in mine])
+                if len(lists[0]) >= _BATCH:
+                    yield Batch(self._topics[topic_id], *lists)
+                    gathered[topic_id] = [], []
+        for topic_id, lists in gathered.items():
+            if lists[0]:
+                yield Batch(self._topics[topic_id], *lists)
 
     def close(self) -> None:
         """Close the file."""
@@ -74,16 +85,18 @@ class SqliteFile:
             # sqlite3 has no error for what a damaged page makes of its data.
             self.damage = str(error) or type(error).__name__
             counts = {}
-            for rows in self._rows(list(self._topics)):
-                for row in rows:
-                    counts[row[1]] = counts.get(row[1], 0) + 1
+            for ids, _, _ in self._rows(list(self._topics)):
+                for topic_id in ids:
+                    counts[topic_id] = counts.get(topic_id, 0) + 1
         if set(counts) - set(self._topics):
             self.damage = self.damage or 'messages of a topic that is not declared'
         return [channel._replace(messages=counts.get(key, 0))
                 for key, channel in self._topics.items()]
 
-    def _rows(self, topic_ids: list[int]) -> Iterator[list[tuple[int, int, int, bytes]]]:
-        """Yield blocks of rows, stepping over damaged pages by ever longer strides."""
+    def _rows(
+        self, topic_ids: list[int],
+    ) -> Iterator[tuple[Sequence[int], Sequence[int], Sequence[bytes]]]:
+        """Yield topics, times and messages, stepping over damaged pages by ever longer strides."""
         after, stride, size = 0, 1, _BLOCK
         wanted = json.dumps(topic_ids)
         while stride < _LONGEST_STRIDE:
@@ -94,12 +107,14 @@ class SqliteFile:
                 while rows := cursor.fetchmany(size):
                     # A damaged page may give any number for a row: never go back.
                     after, stride = max(after, rows[-1][0]), 1
-                    _, _, times, data = zip(*rows, strict=True)
+                    _, ids, times, data = zip(*rows, strict=True)
                     if set(map(type, times)) != {int} or set(map(type, data)) != {bytes}:
                         self.damage = self.damage or 'some of its rows hold no message'
-                        rows = [row for row in rows
-                                if type(row[2]) is int and type(row[3]) is bytes]
-                    yield rows
+                        whole = [row for row in rows
+                                 if type(row[2]) is int and type(row[3]) is bytes]
+                        ids, times, data = zip(*(row[1:] for row in whole), strict=True) if (
+                            whole) else ((), (), ())
+                    yield ids, times, data
             except sqlite3.Error as error:
                 self.damage = self.damage or str(error)
             else:

@@ -33,7 +33,7 @@ class RawPoses:
     stamps_ns : (N,), None where the file has no times.
     numbers : (N,) numbers of frames, None where the file has none.
     findings : what was repaired.
-    lines : how to name a row in a message.
+    kind : of the file, in words.
 
     """
 
@@ -41,6 +41,7 @@ class RawPoses:
     stamps_ns: NDArray[np.int64] | None = None
     numbers: NDArray[np.int64] | None = None
     findings: list[Finding] = field(default_factory=list)
+    kind: str = ''
 
 
 class ArrayTable:
@@ -124,7 +125,8 @@ def read_g2o(path: Path, data: bytes) -> RawPoses:
     ids = np.array([int(line.split(None, 2)[1]) for line in lines], dtype=np.uint64)
     order = np.argsort(ids, kind='stable')
     numbers = (ids[order] & np.uint64(2**48 - 1)).astype(np.int64)
-    return RawPoses(table.read_numbers(list(range(2, 9))).values[order], None, numbers)
+    return RawPoses(
+        table.read_numbers(list(range(2, 9))).values[order], None, numbers, kind='g2o')
 
 
 def read_colmap(path: Path, data: bytes) -> RawPoses:
@@ -171,7 +173,8 @@ def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
     order = np.argsort(numbers if stamps_ns is None and numbers is not None else
                        stamps_ns if stamps_ns is not None else np.arange(len(poses)))
     return RawPoses(poses[order], None if stamps_ns is None else stamps_ns[order],
-                    None if numbers is None else numbers[order])
+                    None if numbers is None else numbers[order],
+                    kind='names of images that are no times')
 
 
 def _square(matrix: Any) -> list[list[float]]:
