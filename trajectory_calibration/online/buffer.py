@@ -6,14 +6,14 @@ Nothing here imports ROS, so that a replay of a bag runs through the same code a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, ROTATION_TOLERANCE
+from trajectory_calibration.data.trajectory import pose_faults
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.online.refusal import fault_of, OF_MESSAGES, PoseTuple, Refusal
 from trajectory_calibration.online.track import Track
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
@@ -27,31 +27,10 @@ CONFIRMATION_NS = 1_000_000_000
 
 _FIRST_ALLOCATION = 1024
 
-# Position x, y, z (metres) and quaternion x, y, z, w.
-PoseTuple = tuple[float, ...]
 # Names of the world frame and of the sensor frame; empty where a message has none.
 Frames = tuple[str, str]
 
 _NO_FRAMES = ('', '')
-
-
-class Refusal(str, Enum):
-    """Why a pose did not enter the buffer; the words of the diagnostics."""
-
-    NO_STAMP = 'no stamp'
-    NOT_FINITE = 'not finite'
-    NOT_UNIT = 'not a unit quaternion'
-    TOO_FAR = 'too far away'
-    DUPLICATE = 'duplicate stamp'
-    OUT_OF_ORDER = 'out of order'
-    STRAY_STAMP = 'stray stamp'
-    OTHER_FRAME = 'other frame'
-    UNREADABLE = 'unreadable'
-    EMPTY_PATH = 'path without a usable pose'
-
-
-# Of these the unit is the message, not the pose.
-_OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
 
 
 @dataclass(frozen=True)
@@ -150,7 +129,7 @@ class PoseBuffer:
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
         self.received += 1
-        fault = _fault(pose) if stamp_ns else Refusal.NO_STAMP
+        fault = fault_of(pose) if stamp_ns else Refusal.NO_STAMP
         if fault is not None:
             self.refused[fault] += 1
             return
@@ -195,7 +174,7 @@ class PoseBuffer:
         first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
         order = order[first]
         strays = self._strays(stamps_ns[order])
-        self.refused = {why: self.refused[why] if why in _OF_MESSAGES else 0 for why in Refusal}
+        self.refused = {why: self.refused[why] if why in OF_MESSAGES else 0 for why in Refusal}
         for why, refused in (
                 (Refusal.NO_STAMP, ~stamped),
                 *zip((Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
@@ -389,16 +368,3 @@ class PoseBuffer:
         stamps[:count], poses[:count] = self._stamps[held], self._poses[held]
         self._stamps, self._poses = stamps, poses
         self._start, self._end = 0, count
-
-
-def _fault(pose: PoseTuple) -> Refusal | None:
-    x, y, z, qx, qy, qz, qw = pose
-    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    # Written so that NaN fails.
-    unit = abs(norm - 1.0) <= ROTATION_TOLERANCE
-    if (unit and abs(x) <= MAX_POSITION and abs(y) <= MAX_POSITION
-            and abs(z) <= MAX_POSITION):
-        return None
-    if not all(map(math.isfinite, pose)):
-        return Refusal.NOT_FINITE
-    return Refusal.TOO_FAR if unit else Refusal.NOT_UNIT
