@@ -54,9 +54,9 @@ setup(
     # Ubuntu 24.04's own NumPy and SciPy satisfy these bounds, so that pip leaves them alone
     # where ROS is installed: its message extensions are compiled against NumPy 1.
     install_requires=[
-        'apsw',
         'backports.zstd; python_version < "3.14"',
         'casadi>=3.6.3',
+        'lz4',
         'numpy>=1.23',
         'rosbags>=0.11.7',
         'ruamel.yaml>=0.17',
