@@ -38,8 +38,9 @@ RATES_HZ = (10, 50, 200)
 LEAST_POSES = 60
 
 
-def backwards(t):
-    return Trajectory(-t.stamps_ns[::-1] + t.stamps_ns[0] + t.stamps_ns[-1], t.poses[::-1],
+def backwards(t, about_ns):
+    """Return the trajectory in reversed time, which mirrors at ``about_ns`` for both sensors."""
+    return Trajectory(2 * about_ns - t.stamps_ns[::-1], t.poses[::-1],
                       sensor_frame=t.sensor_frame)
 
 
@@ -164,7 +165,9 @@ def judge(item):
         return apart(ac.T_a_b, T, P, keep)
 
     attempt('swap', swap)
-    attempt('reversed', lambda: same_data(whole, calibrate(backwards(a), backwards(b))))
+    about_ns = int(a.stamps_ns[len(a) // 2])
+    attempt('reversed', lambda: same_data(
+        whole, calibrate(backwards(a, about_ns), backwards(b, about_ns))))
     for n in (2, 5, 10):
         if min(len(a), len(b)) // n >= LEAST_POSES:
             attempt(f'thinned {n}',
