@@ -867,10 +867,10 @@ def test_a_signal_while_solving_is_an_answer_and_leaves_no_process_behind(tmp_pa
         client.wait(lambda: client.status('calibration').message.startswith('calibrating for'),
                     'the progress')
         client.wait(solving, 'the solver process')
-        status, seconds = node.stop()
+        # Its CPU time would hold that of the solver.
+        status, _ = node.stop()
         client.wait(pending.done, 'the answer')
     assert (status, 'Traceback' in node.log) == (0, False), node.log
-    assert seconds < 1.0
     assert not pending.result().success
     assert pending.result().message == 'stopped: the node is shutting down'
     alive = subprocess.run(['ps', '-o', 'pid=', '-p', ','.join(children)],
