@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
@@ -15,14 +14,14 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.clocks import Clock
-from trajectory_calibration.rig.contradictions import (
-    ALARM,
-    describe_step,
-    find_moved,
-    find_other_clocks,
-    survival,
+from trajectory_calibration.rig.contradictions import ALARM, survival
+from trajectory_calibration.rig.doubts import (
+    against_priors,
+    block_of,
+    doubt,
+    other_clocks,
+    unconnected,
 )
-from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.pairs import calibrate_pairs, PairAnswer
 from trajectory_calibration.rig.result import (
     Contradiction,
@@ -32,7 +31,7 @@ from trajectory_calibration.rig.result import (
     SensorAnswer,
 )
 from trajectory_calibration.rig.settings import RigConfig
-from trajectory_calibration.rig.tree import build_tree, Pair, Tree
+from trajectory_calibration.rig.tree import build_tree, Pair
 
 # The finding of each kind of contradiction.
 _CODES = {
@@ -44,8 +43,6 @@ _SHOWN_BY = {
     'x': 'curves', 'y': 'curves', 'z': 'ramps and banks', 'rotation x': 'ramps and banks',
     'rotation y': 'ramps and banks', 'rotation z': 'curves'}
 
-# Contradictions that are looked for one after the other, each without the ones before.
-_MOST_DOUBTED = 3
 
 
 def calibrate_rig(
@@ -186,7 +183,7 @@ def _of_answers(
         (answer.parent, answer.child): PairReport(
             answer.parent, answer.child, answer.failure or 'no answer', used=False)
         for answer in answers}
-    contradictions = _unconnected(groups, answers)
+    contradictions = unconnected(groups, answers)
     chi_squared, degrees = 0.0, 0
     for group in groups:
         if len(group) == 1:
@@ -229,28 +226,6 @@ def _connected(names: Sequence[str], solved: Sequence[PairAnswer]) -> list[list[
     return groups
 
 
-def _unconnected(
-    groups: Sequence[Sequence[str]], answers: Sequence[PairAnswer],
-) -> list[Contradiction]:
-    """Name the sensors that share no answer with any other."""
-    found = []
-    for name in (group[0] for group in groups if len(group) == 1):
-        own = [answer for answer in answers if name in (answer.parent, answer.child)]
-        if not own:
-            continue
-        if all(answer.no_common_time for answer in own):
-            kind, text = 'time', (
-                f'{name} shares no time with any other sensor: check its clock and its file, or '
-                'raise max_time_offset')
-        else:
-            reason = next(answer.failure for answer in own if not answer.no_common_time)
-            kind, text = 'vehicle', (
-                f'{name} does not move as the other sensors do: check its topic or file, and '
-                f'that it rides on this vehicle ({reason})')
-        found.append(Contradiction(name, kind, text, left_out=True))
-    return found
-
-
 def _solve_group(
     group: Sequence[str], answers: Sequence[PairAnswer],
     trajectories: Mapping[str, Trajectory], config: RigConfig,
@@ -264,11 +239,11 @@ def _solve_group(
         round(config.calibration.max_gap * 1e9))
     priors = {number[name]: config.of(name).prior for name in group[1:]
               if config.of(name).prior.given}
-    doubted, contradictions = _doubt(tree)
+    doubted, contradictions = doubt(tree)
     without = tree.fuse(doubted=doubted)
-    contradictions += _against_priors(tree, without, priors)
+    contradictions += against_priors(tree, without, priors)
     fused = tree.fuse(priors, doubted) if priors else without
-    contradictions += _other_clocks(tree)
+    contradictions += other_clocks(tree)
     left_out = {k for k in doubted if k} if config.leave_out_contradicting else set()
     contradictions = [
         replace(item, left_out=number[item.sensor] in left_out) for item in contradictions]
@@ -276,8 +251,9 @@ def _solve_group(
     rows = np.concatenate([np.arange(6 * k - 6, 6 * k) for k in kept] or [np.zeros(0, int)])
     sensors = {}
     for k in (0, *kept):
-        answer = _answer(group[k], group[0], fused.X[k], _block(fused, k), config, trajectories)
-        by_motion = judged(_block(without, k), config.calibration)
+        answer = _answer(
+            group[k], group[0], fused.X[k], block_of(fused, k), config, trajectories)
+        by_motion = judged(block_of(without, k), config.calibration)
         sensors[group[k]] = replace(
             answer,
             status={name: 'prior' if by_motion[name] == 'unobserved' != status else status
@@ -297,108 +273,6 @@ def _solve_group(
         free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
         p_value=survival(without.chi_squared, without.degrees), findings=(), config=config)
-
-
-def _block(fused: Fused, k: int) -> FloatArray:
-    """Return the (6, 6) covariance of sensor k of a tree; zero of its base."""
-    if k == 0:
-        return np.zeros((6, 6))
-    return fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]
-
-
-def _doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
-    """Return the sensors that contradict the rest, one after the other, and what was found."""
-    doubted: frozenset[int] = frozenset()
-    found: list[Contradiction] = []
-    if len(tree.names) < 3:
-        return doubted, found
-    if tree.noise is not None and tree.grid is not None:
-        moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid)
-        if moved is not None and moved.p_value < ALARM:
-            seconds = 1e-9 * float(tree.grid.stamps_ns[moved.sample] - tree.grid.stamps_ns[0])
-            name = tree.names[moved.sensor]
-            doubted |= {moved.sensor}
-            found.append(Contradiction(
-                name, 'moved', f'the mount of {name} moved by {describe_step(moved.step)} near '
-                f'{seconds:.0f} s: fasten it, and calibrate the parts before and after alone',
-                moved.chi_squared, moved.degrees, moved.p_value))
-    while len(doubted) < _MOST_DOUBTED:
-        worst = _worst_in_loops(tree, doubted)
-        if worst is None:
-            return doubted, found
-        sensor, item = worst
-        if sensor is not None:
-            doubted |= {sensor}
-        found.append(item)
-        if sensor is None:
-            return doubted, found
-    return doubted, found
-
-
-def _worst_in_loops(
-    tree: Tree, doubted: frozenset[int],
-) -> tuple[int | None, Contradiction] | None:
-    """Return the sensor without which the loops close best, where they do not close."""
-    now = tree.fuse(doubted=doubted)
-    if survival(now.chi_squared, now.degrees) >= ALARM:
-        return None
-    left = [k for k in range(len(tree.names)) if k not in doubted]
-    tried = []
-    for k in left:
-        without = tree.fuse(doubted=doubted | {k})
-        gain, degrees = now.chi_squared - without.chi_squared, now.degrees - without.degrees
-        tried.append((survival(without.chi_squared, without.degrees), gain, degrees, k, without))
-    # Without the culprit the others agree; of three, nobody is left to agree.
-    told = [item for item in tried if item[4].degrees > 0]
-    if not told:
-        names = ', '.join(tree.names[k] for k in left)
-        return None, Contradiction(
-            tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
-            'three sensors none can be told from the others: add a sensor, or check all',
-            now.chi_squared, now.degrees, survival(now.chi_squared, now.degrees))
-    p_rest, gain, degrees, k, _ = max(told, key=lambda item: (item[0], item[1]))
-    name = tree.names[k]
-    p_value = min(1.0, survival(gain, degrees) * len(told))
-    return k, Contradiction(
-        name, 'loops', f'the pairs of {name} contradict those of the others (which agree with '
-        f'p = {p_rest:.2g} without it): check its frame, its units and its data',
-        gain, degrees, p_value)
-
-
-def _against_priors(
-    tree: Tree, fused: Fused, priors: Mapping[int, Prior],
-) -> list[Contradiction]:
-    """Name the sensors whose prior is far from what the motion says."""
-    found = []
-    for k, prior in priors.items():
-        known = np.isfinite(prior.std)
-        P = _block(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
-        deviation = prior.deviation(fused.X[k])[known]
-        scale = np.sqrt(np.diagonal(P))
-        worst = float(np.abs(deviation / scale).max())
-        # Of the largest of a few normal deviations, so that the number of components is free.
-        p_value = min(1.0, len(scale) * float(np.exp(-0.5 * worst**2)))
-        if p_value < ALARM:
-            name = tree.names[k]
-            found.append(Contradiction(
-                name, 'prior', f'the prior of {name} is {worst:.0f} standard deviations from what '
-                'the motion says: one of them is wrong, and the answer is between',
-                worst**2, 1, p_value))
-    return found
-
-
-def _other_clocks(tree: Tree) -> list[Contradiction]:
-    found = []
-    for k, late_s in find_other_clocks(tree.clocks, tree.clocks[0].epoch_ns):
-        name = tree.names[k]
-        word = 'late' if late_s > 0 else 'early'
-        std = max(tree.clocks[k].offset_std_s, 1e-6)
-        chi_squared = (late_s / std)**2
-        found.append(Contradiction(
-            name, 'clock', f'the stamps of {name} are {1e3 * abs(late_s):.0f} ms {word} against '
-            f'those of the others (corrected): check its driver',
-            chi_squared, 1, float(np.exp(-0.5 * min(chi_squared, 1400.0)))))
-    return found
 
 
 def _answer(
