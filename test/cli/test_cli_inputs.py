@@ -1,6 +1,9 @@
 """Options of the inputs: they reach the readers, for both files or for one."""
 
 import argparse
+from pathlib import Path
+import re
+import shlex
 
 from cli_helpers import run, write_pair, write_pair_bag
 import pytest
@@ -11,6 +14,7 @@ from trajectory_calibration.cli.inputs import (
     options_of,
     split_bags,
 )
+from trajectory_calibration.cli.options import add_config_options
 from trajectory_calibration.sources.inputs import InputOptions
 
 
@@ -74,3 +78,15 @@ def test_one_input_alone(tmp_path):
     assert load_one(a, 'lidar').sensor_frame == 'lidar'
     bag = write_pair_bag(tmp_path / 'bag')
     assert load_one('lidar/odom', bags=[bag]).sensor_frame == 'lidar'
+
+
+@pytest.mark.parametrize('page', ['inputs.md', 'from_slam.md'])
+def test_the_docs_name_options_that_exist(page):
+    text = (Path(__file__).parents[2] / 'docs' / page).read_text(encoding='utf-8')
+    parser = argparse.ArgumentParser()
+    add_input_arguments(parser)
+    add_config_options(parser)
+    commands = re.findall(r'`calibrate ([^`]*)`', text)
+    assert len(commands) > 10
+    for command in commands:
+        parser.parse_args(split_bags(shlex.split(command.partition(';')[0])))
