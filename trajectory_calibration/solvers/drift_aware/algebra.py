@@ -10,7 +10,7 @@ from trajectory_calibration.geometry.se3 import FloatArray, log_so3, skew
 TRANSLATION, ROTATION = slice(0, 3), slice(3, 6)
 
 # Below this squared angle the series of ``log`` is exact to rounding of what is noise anyway.
-_SMALL = 0.01
+_SMALL = 0.03
 
 # What a matrix of unit diagonal does not know better than this.
 _ROUNDING = 1e-13

@@ -33,7 +33,7 @@ _MOST_ROUNDS = 16
 _LAST_RHO_AGAIN = 3
 
 # A step that small, in standard deviations, is none; one that large at the end is a finding.
-_SETTLED = 0.02
+_SETTLED = 0.05
 _UNSETTLED = 0.3
 
 # No step turns further, radians.

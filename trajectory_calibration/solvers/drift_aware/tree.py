@@ -200,7 +200,7 @@ def contrast(
         part, worlds = _merge(drive, at, worlds, level, noise, w)
         parts.append(part)
     d, J, V, inverse = (np.concatenate(values)[tree.order] for values in zip(*parts, strict=True))
-    return Contrasts(d, J, V, inverse, np.einsum('ni,nij,nj->n', d, inverse, d))
+    return Contrasts(d, J, V, inverse, (d * apply(inverse, d)).sum(axis=1))
 
 
 def _merge(
