@@ -63,6 +63,8 @@ _PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
 
 # Share by which the rotation of a solver may fit worse than the best one.
 _WORSE_FIT = 0.1
+# Motions that tell it.
+_FEW_MOTIONS = 500
 
 
 def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> None:
@@ -106,7 +108,7 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     best = best_fit(pairs)
     if best is None or not best.one_body:
         return
-    i = np.arange(len(pairs) - best.lag)
+    i = np.arange(0, len(pairs) - best.lag, max(1, len(pairs) // _FEW_MOTIONS))
     turn_a, turn_b = (
         se3.log_so3(np.swapaxes(poses[i, :3, :3], 1, 2) @ poses[i + best.lag, :3, :3])
         for poses in (pairs.poses_a, pairs.poses_b))

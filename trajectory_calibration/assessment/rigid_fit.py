@@ -26,7 +26,7 @@ _SHORT_S = 2.0
 NOT_BY_NOISE = 1.5
 # Share of the poses that the longest lag may span; motions that suffice; fewer say nothing.
 _LONGEST_SHARE = 0.25
-_MOTIONS, _LEAST_MOTIONS = 500, 5
+_MOTIONS, _LEAST_MOTIONS = 300, 5
 _ROUNDS = 6
 
 # Larger turns (radians) are left out: half a turn one way is half a turn the other way.
