@@ -86,7 +86,7 @@ def test_noise_alone_is_no_answer(solver):
     a, b = at_rest_or_straight_ahead(1)
     for allow_unobserved in (False, True):
         with pytest.raises(MotionError, match=(
-                r'no motion beyond the noise in 300 pose pairs.* A stationary vehicle cannot')):
+                r'no motion beyond the noise in 300 pose pairs|did not turn together')):
             calibrate(a, b, CalibrationConfig(
                 solver=solver, reference='B5', allow_unobserved=allow_unobserved))
 

@@ -27,7 +27,8 @@ NOT_BY_NOISE = 1.5
 # Share of the poses that the longest lag may span; motions that suffice; fewer say nothing.
 _LONGEST_SHARE = 0.25
 _MOTIONS, _LEAST_MOTIONS = 300, 5
-_ROUNDS = 6
+# Rounds of reweighting, and those of them that find the rotation by itself.
+_ROUNDS, _ALONE = 8, 2
 
 # Larger turns (radians) are left out: half a turn one way is half a turn the other way.
 _LARGEST_TURN = 2.6
@@ -135,26 +136,35 @@ def _fit(
     usable = square < _LARGEST_TURN**2
     if usable.sum() < _LEAST_MOTIONS:
         return None
-    A, B, turn_a, turn_b = A[usable], B[usable], turn_a[usable], turn_b[usable]
+    A, B, turn_a, turn_b, square = (
+        item[usable] for item in (A, B, turn_a, turn_b, square))
     v_a, v_b = A[:, :3, 3], B[:, :3, 3]
     lever = A[:, :3, :3] - np.eye(3)
     tiny = np.finfo(float).tiny
     weight_t = np.full(len(A), 1 / max(float(np.mean(square)), tiny))
     weight_v = np.full(len(A), 1 / max(float(np.mean(np.sum(v_a**2, axis=1))), tiny))
-    t, scale = np.zeros(3), 1.0
-    for _ in range(_ROUNDS):
-        # Of turns about one axis the rest of the rotation is open; where both went closes it.
-        reached = sign * (v_a + lever @ t)
-        R = se3.nearest_rotation(
-            _correlation(turn_a, turn_b, weight_t) + _correlation(reached, v_b, weight_v))
+    R, t, scale = np.eye(3), np.zeros(3), 1.0
+    for k in range(_ROUNDS):
+        if k < _ALONE:
+            # Of turns about one axis the rest of the rotation is open; where both went closes it.
+            reached = sign * (v_a + lever @ t)
+            R = se3.nearest_rotation(
+                _correlation(turn_a, turn_b, weight_t) + _correlation(reached, v_b, weight_v))
+        # Then all of it together: in turns, a heading and a lever arm settle each other slowly.
+        moved, turned = v_b @ R.T, turn_b @ R.T
+        J = np.concatenate([scale * se3.skew(moved), lever, -moved[:, :, None]], axis=2)
+        off = v_a + lever @ t - scale * moved
+        free = slice(3, 7) if k < _ALONE else slice(0, 7)
+        H, g = _normal(J, off, weight_v / max(float(weight_v @ np.sum(v_a**2, axis=1)), tiny))
+        H_t, g_t = _normal(
+            se3.skew(turned), turn_a - turned, weight_t / max(float(weight_t @ square), tiny))
+        H[:3, :3] += H_t
+        g[:3] += g_t
+        step = np.zeros(7)
+        step[free] = -np.linalg.pinv(H[free, free], rcond=1e-10, hermitian=True) @ g[free]
+        R, t, scale = se3.exp_so3(step[:3]) @ R, t + step[3:6], scale + float(step[6])
         turn_apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
-        J = np.concatenate([lever, -(v_b @ R.T)[:, :, None]], axis=2)
-        weighted = weight_v[:, None, None] * J
-        solved = -np.linalg.pinv(
-            np.einsum('kij,kil->jl', weighted, J), rcond=1e-10, hermitian=True) @ np.einsum(
-                'kij,ki->j', weighted, v_a)
-        t, scale = solved[:3], float(solved[3])
-        way_apart = np.sum((v_a + J @ solved)**2, axis=1)
+        way_apart = np.sum((v_a + lever @ t - scale * v_b @ R.T)**2, axis=1)
         weight_t = 1 / (turn_apart + np.median(turn_apart) + tiny)
         weight_v = 1 / (way_apart + np.median(way_apart) + tiny)
     way, turn = np.sum(v_a**2, axis=1), 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
@@ -167,6 +177,15 @@ def _fit(
         float(np.sqrt(np.median(turn_apart[most] / (2 * turn[most] + tiny)))),
         float(np.sqrt(np.median(way_apart))),
         float(np.sqrt(np.median(way_apart[longer] / (way[longer] + tiny)))), scale)
+
+
+def _normal(
+    J: FloatArray, residual: FloatArray, weights: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the (n, n) and (n,) normal equations of (K, 3, n) derivatives."""
+    weighted = weights[:, None, None] * J
+    rows = weighted.reshape(-1, J.shape[2])
+    return rows.T @ J.reshape(-1, J.shape[2]), rows.T @ residual.ravel()
 
 
 def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
