@@ -203,7 +203,7 @@ def test_g2o_colmap_nerfstudio_and_numpy(tmp_path):
     edge = 'EDGE_SE3:QUAT 0 1 ' + '0 ' * 28
     g2o.write_text('\n'.join([edge, *reversed(vertices), edge]), encoding='utf-8')
     assert _is_right(FileSource(g2o, times=times).load())
-    with pytest.raises(SourceError, match='carry no time; give the file of their times'):
+    with pytest.raises(SourceError, match=r'carry no time \(g2o\); give the file'):
         FileSource(g2o).load()
 
     inverted = se3.inverse(T)
