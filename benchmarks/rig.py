@@ -5,6 +5,8 @@
     python -m benchmarks.rig speed
     python -m benchmarks.rig real ../shared/data/real
     python -m benchmarks.rig bound --sensors 5
+
+Errors are those of the rig, and in brackets those of the pair with the base alone.
 """
 
 from __future__ import annotations

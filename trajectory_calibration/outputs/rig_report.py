@@ -109,7 +109,12 @@ def _view(rig: RigResult, first: int, second: int) -> str:
     """Draw the sensors along two axes of the base, with their ellipses."""
     sensors = [rig.sensors[name] for name in rig.trees[rig.base]]
     at = np.stack([sensor.T_base_sensor[:3, 3][[first, second]] for sensor in sensors])
-    low, high = at.min(axis=0), at.max(axis=0)
+    # With their ellipses, but for those of what is unknown.
+    reach = _ELLIPSE * np.array([
+        [0.0 if sensor.status.get('xyz'[axis]) == 'unobserved' else
+         float(np.sqrt(max(sensor.covariance[axis, axis], 0.0))) for axis in (first, second)]
+        for sensor in sensors])
+    low, high = (at - reach).min(axis=0), (at + reach).max(axis=0)
     middle = 0.5 * (low + high)
     room = np.array([_WIDTH - 2 * _MARGIN, _HEIGHT - 2 * _MARGIN])
     pixels = float(np.min(room / np.maximum(high - low, 0.1)))
