@@ -160,7 +160,7 @@ def test_a_slam_that_began_anew_is_said():
     assert warning in calibrate(a, b, CalibrationConfig(solver='dnl', reference='B5')).findings
     found = calibrate(a, b)
     assert warning not in found.findings
-    assert found.absolute_errors(run.T_a_b).e_at < 0.02
+    assert found.absolute_errors(run.T_a_b).e_at < 0.03
 
 
 @pytest.mark.parametrize('name', sorted(SCENARIOS))
