@@ -28,7 +28,7 @@ SOLVERS = {
     'dnlo, ipopt': {'dnlo_method': 'ipopt'},
 }
 # Milliseconds on the published drive.
-TARGETS_MS = {'park': 5, 'taylor': 5, 'zhuang': 200, 'dnl': 20, 'dnlo': 100}
+TARGETS_MS = {'park': 5, 'taylor': 5, 'zhuang': 200, 'dnl': 10, 'dnlo': 15}
 PUBLISHED = '2011_10_03, B5'
 REPEATS = 10
 
