@@ -91,9 +91,9 @@ def require_own_stamps(
         return
     distinct = np.unique(stamps_ns)
     if len(distinct) == 1:
-        raise SourceError(f'{name}: all {count} poses have the same time, '
-                          f'{distinct[0] * 1e-9:.9g} s; needed the time of each pose, not rounded: '
-                          f'{advice}')
+        raise SourceError(
+            f'{name}: all {count} poses have the same time, {distinct[0] * 1e-9:.9g} s; needed the '
+            f'time of each pose, not rounded: {advice}')
     step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
     digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
     raise SourceError(
