@@ -92,13 +92,13 @@ def require_own_stamps(
     distinct = np.unique(stamps_ns)
     if len(distinct) == 1:
         raise SourceError(
-            f'{name}: all {count} poses have the same time, {distinct[0] * 1e-9:.9g} s; needed the '
-            f'time of each pose, not rounded: {advice}')
+            f'{name}: all {count} poses have the same time, {distinct[0] * 1e-9:.9g} s; needed '
+            f'the time of each pose, not rounded: {advice}')
     step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
     digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
     raise SourceError(
-        f'{name}: {found} of {count} poses share their time with another: the times are rounded '
-        f'to {step:.3g} s ({digits} digits); {advice}')
+        f'{name}: {found} of {count} poses share their time with another: the times are '
+        f'rounded to {step:.3g} s ({digits} digits); {advice}')
 
 
 def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> list[Finding]:
