@@ -39,8 +39,8 @@ def test_several_bags_after_one_option(tmp_path):
     two.touch()
     expected = ['--bag', str(one), '--bag', str(two)]
     assert split_bags(['--bag', str(one), str(two), '/a', '/b']) == [*expected, '/a', '/b']
-    assert split_bags(['/a', '/b', '--bag', str(one), str(two), '-v']) == ['/a', '/b', *expected,
-                                                                          '-v']
+    assert split_bags(['/a', '/b', '--bag', str(one), str(two), '-v']) == [
+        '/a', '/b', *expected, '-v']
     assert split_bags(['--bag', str(one), '--bag', str(two)]) == expected
     # What is named first is a bag, also where it does not exist.
     assert split_bags(['--bag', 'none', '/a']) == ['--bag', 'none', '/a']

@@ -16,7 +16,7 @@ def seven(T):
 
 @pytest.fixture(scope='module')
 def bags(tmp_path_factory):
-    """A bag of transforms, in which the map jumps at loop closures, and one of Odometry."""
+    """Return a bag of transforms, in which the map jumps at loop closures, and one of Odometry."""
     folder = tmp_path_factory.mktemp('robot')
     stamps_ns, a, b = make_pair(400)
     step = np.repeat([[0.002, -0.001, 0.0005, 0, 0, 0.0004]], len(a), axis=0)

@@ -183,7 +183,6 @@ def test_mounts_that_stay_are_not_named():
         assert not calibrate_rig(run.trajectories).contradictions
 
 
-
 def halves(run):
     """Return two sensors of the first half of a drive, and two of the second."""
     cut = {}

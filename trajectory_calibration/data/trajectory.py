@@ -145,10 +145,14 @@ class Trajectory:
 
         Parameters
         ----------
-        seconds : (N,) times, seconds. Since 1970, float64 resolves 0.2 us.
-        positions : (N, 3), x, y, z of the sensor in its world, metres.
-        quaternions_xyzw : (N, 4), x, y, z, w of its orientation.
-        world_frame, sensor_frame : names of the frames.
+        seconds : (N,)
+            Times, seconds. Since 1970, float64 resolves 0.2 us.
+        positions : (N, 3)
+            x, y, z of the sensor in its world, metres.
+        quaternions_xyzw : (N, 4)
+            x, y, z, w of its orientation.
+        world_frame, sensor_frame : str
+            Names of the frames.
 
         Raises
         ------

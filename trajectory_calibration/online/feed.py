@@ -12,7 +12,6 @@ from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.sources.cdr import parse_path, parse_pose, PATH, PathPoses, StampedPose
 
 if TYPE_CHECKING:
-    # Reading bags needs packages that a vehicle may not have.
     from trajectory_calibration.sources.topics import TopicTrack
 
 

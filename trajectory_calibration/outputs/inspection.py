@@ -94,8 +94,8 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspecti
         turned_deg=tuple(np.rad2deg(turned).tolist()),
         motion=motion,
         advice=advice,
-        warnings=tuple(map(str, (*trajectory.findings, *time_doubts(trajectory),
-                                *position_doubts(trajectory)))),
+        warnings=tuple(map(str, (
+            *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory)))),
     )
 
 

@@ -44,7 +44,6 @@ _SHOWN_BY = {
     'rotation y': 'ramps and banks', 'rotation z': 'curves'}
 
 
-
 def calibrate_rig(
     trajectories: Mapping[str, Trajectory], config: RigConfig | None = None,
 ) -> RigResult:

@@ -250,5 +250,3 @@ def describe_step(step: FloatArray) -> str:
     metres = float(np.linalg.norm(step[:3]))
     degrees = float(np.rad2deg(np.linalg.norm(step[3:])))
     return f'{100 * metres:.2g} cm and {degrees:.2g} deg'
-
-

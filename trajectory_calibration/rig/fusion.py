@@ -78,7 +78,8 @@ def fuse(
     ----------
     start : (S, 4, 4)
         Sensors in the base, roughly; the base is the identity.
-    pairs : (P,) of parent and child; the graph is connected.
+    pairs : (P,) of parent and child
+        The graph is connected.
     answers : (P, 4, 4)
         Pose of the child in the parent, metres of the base.
     C : (P, 6, P, 6)

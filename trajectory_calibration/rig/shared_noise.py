@@ -43,11 +43,14 @@ def joint_covariance(
 
     Parameters
     ----------
-    levels : of T lengths.
+    levels : (T,)
+        One a length.
     noise : (T, S, 6, 6)
         Covariance of the differences of each sensor.
-    pairs : (P,) of two sensors each.
-    free_scale : (S,), whether a sensor has a unit of its own.
+    pairs : (P,)
+        Two sensors each.
+    free_scale : (S,)
+        Whether a sensor has a unit of its own.
 
     """
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T

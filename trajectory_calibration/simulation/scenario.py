@@ -152,7 +152,7 @@ def simulate(
     return SimulatedPair(
         a=observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
         b=observe(scenario.b, scenario.duration,
-                   T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
+                  T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
         T_a_b=T_a_b,
     )
 

@@ -136,7 +136,6 @@ class FileSource:
         return {'g2o': structured.read_g2o, 'colmap': structured.read_colmap,
                 'nerfstudio': structured.read_nerfstudio}[kind](path, data)
 
-
     def _table(self, table: Table | ArrayTable) -> RawPoses:
         """Return the poses of a table, all rows of it."""
         layout = self._layout(table)

@@ -56,9 +56,13 @@ def load_inputs(
 
     Parameters
     ----------
-    inputs : for each sensor its input, a file, a topic or ``tf:PARENT.CHILD``, and its options.
-        The name of the sensor is that of its frame where the input names none.
-    bags : bags that hold the topics and transforms.
+    inputs : mapping
+        For each sensor its input, a file, a topic or ``tf:PARENT.CHILD``, and its options. The
+        name of the sensor is that of its frame where the input names none.
+    bags : sequence of Path
+        Bags that hold the topics and transforms.
+    progress : callable, optional
+        Called while bags are read.
 
     Raises
     ------

@@ -147,10 +147,14 @@ def from_numbers(
 
     Parameters
     ----------
-    sample : (N, C) rows of the file; NaN for words.
-    by_commas : whether commas separate the columns.
-    timed : whether the times come from another file.
-    order : of the quaternion, where the user says so.
+    sample : (N, C)
+        Rows of the file; NaN for words.
+    by_commas : bool
+        Whether commas separate the columns.
+    timed : bool
+        Whether the times come from another file.
+    order : str
+        Of the quaternion, where the user says so.
 
     Raises
     ------

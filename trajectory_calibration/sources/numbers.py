@@ -140,8 +140,12 @@ class Fields:
 
         Parameters
         ----------
-        columns : which columns.
-        time_column : the one with the time, in a unit of 10^-decimals s.
+        columns : sequence of int
+            Which columns.
+        time_column : int, optional
+            The one with the time.
+        decimals : int
+            Its unit is 10^-decimals s.
 
         Raises
         ------

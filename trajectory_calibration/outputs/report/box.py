@@ -77,9 +77,9 @@ def facts_list(result: CalibrationResult, driven: str) -> str:
         facts.append(('jumps excluded', f'{len(jumps)}'))
     elif result.inliers is not None:
         facts.append(('motions kept', f'{np.count_nonzero(result.inliers)} of {result.motions}'))
-    facts.append(('fit residual', (f'{result.metrics.e_rt:.3g} m, '
-                  f'{float(np.rad2deg(result.metrics.e_rR)):.3g} deg per motion '
-                  '(not the accuracy)')))
+    turned = float(np.rad2deg(result.metrics.e_rR))
+    facts.append(('fit residual', f'{result.metrics.e_rt:.3g} m, {turned:.3g} deg per motion '
+                  '(not the accuracy)'))
     facts.append(('solver', result.config.solver))
     inside = ''.join(f'<dt>{name}</dt><dd>{escape(value)}</dd>' for name, value in facts)
     return f'<dl class="facts">{inside}</dl>'

@@ -174,12 +174,10 @@ def contrast(
 ) -> Contrasts:
     """Go up the tree.
 
-    Parameters
-    ----------
-    white : (6, 6), covariance of the noise of a pose of both sensors, in the axes of b.
-    walk : (octaves, 2), variance of translation and rotation between worlds of an octave.
-    jumps : (N - 1, 2), what is added to that across each step.
-    weights : (n,), of the contrasts in the order of the plan; at most one counts here.
+    ``white`` is (6, 6), the covariance of the noise of a pose of both sensors in the axes of b;
+    ``walk`` (octaves, 2), the variance of translation and rotation between worlds of an octave;
+    ``jumps`` (N - 1, 2), what is added to that across each step; ``weights`` (n,), of the
+    contrasts in the order of the plan, of which at most one counts here.
 
     """
     at = correct(drive, state)
