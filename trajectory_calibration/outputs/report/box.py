@@ -78,8 +78,8 @@ def facts_list(result: CalibrationResult, driven: str) -> str:
     elif result.inliers is not None:
         facts.append(('motions kept', f'{np.count_nonzero(result.inliers)} of {result.motions}'))
     turned = float(np.rad2deg(result.metrics.e_rR))
-    facts.append(('fit residual', f'{result.metrics.e_rt:.3g} m, {turned:.3g} deg per motion '
-                  '(not the accuracy)'))
+    residual = f'{result.metrics.e_rt:.3g} m, {turned:.3g} deg per motion (not the accuracy)'
+    facts.append(('fit residual', residual))
     facts.append(('solver', result.config.solver))
     inside = ''.join(f'<dt>{name}</dt><dd>{escape(value)}</dd>' for name, value in facts)
     return f'<dl class="facts">{inside}</dl>'
