@@ -77,7 +77,8 @@ setup(
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': [
             'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema', 'matplotlib>=3.7',
-            'pytest>=7.4,<9', 'pyyaml', 'urdf_parser_py', 'xacro'],
+            'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'urdf_parser_py', 'xacro'],
+        'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'lint': [
             'flake8',
             'flake8-builtins',
