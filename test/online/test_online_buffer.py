@@ -361,7 +361,7 @@ def test_a_failure_ends_with_what_was_refused():
             (session.buffers[0], 1, 'lidar', 1.0), (session.buffers[1], 101, 'camera', 1.0),
             (session.buffers[1], 1, 'camera', np.nan)):
         for k in range(20):
-            buffer.append((start_s + k) * SECOND, ('map', frame), along_x(speed * k))
+            buffer.append((start_s + k) * SECOND, ('map', frame), along_x(speed * k, 0.1 * k))
     job = session.job(CalibrationConfig())
     with pytest.raises(AssociationError, match=r'; camera: 20 poses refused \(20 not finite\)$'):
         job.run()

@@ -30,6 +30,9 @@ _MOTIONS, _LEAST_MOTIONS = 300, 5
 # Rounds of reweighting, and those of them that find the rotation by itself.
 _ROUNDS, _ALONE = 8, 2
 
+# Metres and radians that are rounding.
+_ROUNDING = 1e-12
+
 # Larger turns (radians) are left out: half a turn one way is half a turn the other way.
 _LARGEST_TURN = 2.6
 
@@ -140,7 +143,7 @@ def _fit(
         item[usable] for item in (A, B, turn_a, turn_b, square))
     v_a, v_b = A[:, :3, 3], B[:, :3, 3]
     lever = A[:, :3, :3] - np.eye(3)
-    tiny = np.finfo(float).tiny
+    tiny = _ROUNDING**2
     weight_t = np.full(len(A), 1 / max(float(np.mean(square)), tiny))
     weight_v = np.full(len(A), 1 / max(float(np.mean(np.sum(v_a**2, axis=1))), tiny))
     R, t, scale = np.eye(3), np.zeros(3), 1.0
@@ -195,5 +198,5 @@ def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArra
     """
     weighted = a * weights[:, None]
     most = np.sqrt(np.sum(weighted * a) * float(weights @ np.sum(b**2, axis=1)))
-    share: FloatArray = weighted.T @ b / max(float(most), np.finfo(float).tiny)
+    share: FloatArray = weighted.T @ b / max(float(most), _ROUNDING**2)
     return share
