@@ -74,11 +74,15 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         found, unit = _fit(kept, dict(terms))
-        spread = covariance(found)
+        spread, cost = covariance(found), found.objective
+        if not np.isfinite(np.r_[found.state.T_a_b.ravel(), spread.ravel(), cost]).all():
+            raise SolverError(
+                f'drift_aware: {len(pairs)} poses gave no finite answer: the motion is too '
+                'degenerate for its model; use dnlo')
     diagnosis = diagnose(found, spread, kept.stamps_ns, unit)
     return Solution(
         T_a_b=found.state.T_a_b,
-        cost=found.objective,
+        cost=cost,
         iterations=found.rounds,
         covariance=in_parent_axes(spread[:6, :6], found.state.T_a_b),
         findings=(*findings_of(diagnosis, int(pairs.stamps_ns[0])), *_unsettled(found)),
@@ -109,10 +113,7 @@ def _fit(pairs: PosePairs, terms: dict[str, str]) -> tuple[Fit, float]:
     if len(drive) > 2 * _COARSE:
         before = fit(coarse, state, terms, most_rounds=_COARSE_ROUNDS)
         state = before.state
-    found = fit(drive, state, terms, before)
-    if not np.isfinite(found.state.T_a_b).all():
-        raise SolverError(f'drift_aware: {len(pairs)} poses gave no finite answer; use dnlo')
-    return found, unit
+    return fit(drive, state, terms, before), unit
 
 
 @contextmanager
