@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-from cli_helpers import run, write_pair
+from cli_helpers import run, write_pair, write_pair_bag
 import pytest
 
 from trajectory_calibration import __version__
@@ -121,7 +121,6 @@ def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):
 
 @pytest.mark.parametrize('module, package, command', [
     ('casadi', 'casadi', 'calibrate {a} {b} --solver dnl --reference B5'),
-    ('scipy', 'scipy', 'calibrate {a} {b}'),
     ('scipy.signal', 'scipy', 'simulate --output {a}.d --scenario offroad'),
     ('ruamel', 'ruamel.yaml', 'calibrate {a} {b} --config {a}'),
     ('ruamel.yaml', 'ruamel.yaml', 'calibrate {a} {b} --solver park --format yaml')])
@@ -156,17 +155,13 @@ def test_start_loads_nothing_heavy():
     assert done.stdout == f'trajectory_calibration {__version__}\n[]\n'
 
 
-@pytest.mark.parametrize('module, package', [
-    ('rosbags', 'rosbags'), ('apsw', 'apsw'), ('ruamel', 'ruamel.yaml'),
-    ('ruamel.yaml', 'ruamel.yaml')])
-def test_a_machine_without_rosbags_reads_files_and_says_what_bags_need(tmp_path, module, package):
-    a, _, _ = write_pair(tmp_path)
-    files, bags = (_run_without(module, 'inspect', path) for path in (a, str(tmp_path)))
-    assert (files.returncode, files.stderr) == (0, '')
-    assert bags.returncode == 1
-    assert bags.stderr == (
-        f'error: bags need the Python package {package}, which is not installed; install it with: '
-        'pip install rosbags\n')
+@pytest.mark.parametrize('module', ['rosbags', 'apsw', 'scipy', 'casadi', 'ruamel', 'ruamel.yaml'])
+def test_files_and_bags_are_read_and_calibrated_with_numpy_alone(tmp_path, module):
+    a, b, _ = write_pair(tmp_path)
+    bag = str(write_pair_bag(tmp_path / 'bag'))
+    for command in (['inspect', a], ['inspect', bag], ['calibrate', a, b]):
+        done = _run_without(module, *command)
+        assert (done.returncode, done.stderr) == (0, '')
 
 
 @pytest.mark.parametrize('arguments', [[], ['nonsense'], ['--nonsense'], ['calibrate', '--x']])
