@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Build script: colcon runs it for ament_python, pip runs it for a plain installation."""
 
 from pathlib import Path

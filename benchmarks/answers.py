@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Save the answers of all solvers at all references, to compare two versions of the package.
 
     python benchmarks/answers.py save before.json --data ../shared/data

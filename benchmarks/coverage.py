@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Do the covariances hold? Errors against the truth over many simulated runs.
 
     python benchmarks/coverage.py [--seeds 100] [--solvers dnl,dnlo,park] [--references B1,B5,B20]

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The three ways to a minimum of dnlo, side by side: cost, error against the truth, time.
 
     python benchmarks/dnlo_methods.py --data ../shared/data

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The drift-aware solver against its targets.
 
     python benchmarks/drift_aware.py --data ../shared/data [--seeds 40] [--sizes 2343,10000]

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated drives of kinds of vehicles and sensors, with nothing of the package in them.
 
 A simulator of its own, so that a mistake of the package's cannot hide: the vehicle's pose is a

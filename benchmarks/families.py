@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Do the stated deviations hold on vehicles that the package's own simulator does not know?
 
     python -m benchmarks.families [--seeds 40] [--first-seed 0] [--only car] [--jobs 1]

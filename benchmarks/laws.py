@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Laws that an estimate must obey whatever the truth is: no truth is needed to test them.
 
     python -m benchmarks.laws [--data ../shared/data] [--seeds 4] [--only real] [--law swap]

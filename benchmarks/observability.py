@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Is every direction that the motion did not show flagged, and no other?
 
     python benchmarks/observability.py [--seeds 100] [--solvers drift_aware,dnl]

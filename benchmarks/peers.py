@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What other libraries make of the same motions: accuracy and time, side by side.
 
     pip install 'trajectory_calibration[benchmark,peers]'

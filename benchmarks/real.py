@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Real pairs whose extrinsic is known: error, honesty of the error bars, terms, processor time.
 
     python -m benchmarks.real --data ../shared/data [--only kitti00] [--no-rivals] [--jobs 1]

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Does ``reference: auto`` choose as well as hindsight would?
 
     python benchmarks/reference_auto.py [--data DIR] [--seeds 40] [--solvers dnl,dnlo,park]

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rigs of several sensors: accuracy, honesty, faults by name, speed.
 
     python -m benchmarks.rig accuracy --sensors 3 5 8 --seeds 20

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How long each solver takes, on the longer published drive and as the drive grows.
 
     python benchmarks/speed.py --data ../shared/data

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What stamps that do not coincide, and clocks that drift, cost.
 
     python benchmarks/stamps.py [--seeds 12]

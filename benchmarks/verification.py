@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How often ``verify`` and ``fleet`` are right, on simulated drives of one mounting.
 
     python -m benchmarks.verification verify --scenario handheld --seeds 100

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The whole job on simulated data: a bag, the node over DDS, the offline tool, and the truth.
 
 Exit status 0: the node and the offline tool agree with each other and with the truth.

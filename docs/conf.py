@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The documentation site: ``make docs`` builds it with warnings as errors."""
 
 from pathlib import Path

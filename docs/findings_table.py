@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Write the table of findings.md anew from the catalogue: run this file."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Start one calibration node for each sensor of a rig, all against its base.
 
 RIG.yaml names the sensors, each with a topic or tf; one parameter file serves all nodes::

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Two trajectories with a known extrinsic between them, as files and as a bag."""
 
 from bag_writing import BagFile

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What several test modules need: the published data, and examples that may take their time."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories with a known extrinsic, for tests that need no more than that."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's published trajectories and figures, in the form that the tests compare."""
 
 from functools import lru_cache

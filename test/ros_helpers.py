@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A running node and a client of it, over real DDS, isolated from everything else.
 
 Test modules import it through ``ros_if_any``, which does without ROS, too.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """ROS where it is installed: ``ros`` holds the helpers, ``needs_ros`` skips tests where it is not.
 
 A mark, not a skip of the module: with launch_testing installed, a module that skips itself makes

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Settings are checked in one place; a result is plain data that survives a file."""
 
 import dataclasses

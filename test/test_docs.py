@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The documentation site builds without a warning and says what the code says."""
 
 from importlib.util import find_spec, module_from_spec, spec_from_file_location

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The code style of ROS, as ``ament_flake8`` checks it."""
 
 from pathlib import Path

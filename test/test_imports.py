@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The direction of imports: up the flow, ROS only at its place, nothing heavy at the start."""
 
 import ast

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What pip and colcon make of the package."""
 
 from configparser import ConfigParser
@@ -120,3 +122,10 @@ def test_colcon(tmp_path):
         'test/test_packaging.py', '-k', 'version or package_xml', cwd=tmp_path, **prefix)
     summary = run(*colcon, 'test-result', cwd=tmp_path)
     assert re.search(r'Summary: 2 tests, 0 errors, 0 failures, 0 skipped', summary)
+
+
+def test_every_file_of_code_names_its_licence():
+    head = ('# Copyright 2026 trajectory_calibration maintainers\n'
+            '# SPDX-License-Identifier: Apache-2.0\n')
+    files = [path for folder in (NAME, 'test', 'launch') for path in (ROOT / folder).rglob('*.py')]
+    assert [path for path in files if head not in path.read_text(encoding='utf-8')[:200]] == []

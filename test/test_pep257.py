@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The style of docstrings, as ``ament_pep257`` checks it."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Extrinsic calibration of two sensors from their trajectories.
 
 ``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a from where

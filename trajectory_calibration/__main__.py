@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Run the command line: ``python -m trajectory_calibration``."""
 
 import sys

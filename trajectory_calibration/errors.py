@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every failure the package raises on purpose.
 
 A message says what was found, what was needed, and what to do next, in one line, so that the

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From two trajectories to an extrinsic: the stages, one a line."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.paper``: the published experiments, repeated."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's conclusions, judged one by one on a set of runs.
 
 Every claim is judged on medians over the runs at the hardest level of a class, solver by solver:

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Our figures beside the published ones: run by run, and class by class."""
 
 from __future__ import annotations

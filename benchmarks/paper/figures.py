@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures. For print: readable in grey, one legend, units on every axis.
 
 Matplotlib is loaded here, and this module only where figures are drawn.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.paper``: everything in the paper's section IV, in one folder."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's published trajectories and figures, read from the folder that holds them."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How far and how much the sensors move from a reference to the current pose."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The results file: tidy CSV that grows task by task and survives being cut off anywhere."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is computed: one run of one condition, by all solvers at all references.
 
 The association is made once for a run and the motions once for a reference, so that what is left

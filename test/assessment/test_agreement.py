@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Two trajectories that do not belong together get no answer."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Inputs that no extrinsic belongs to are refused before a solver runs, with what mends them."""
 
 from dataclasses import replace

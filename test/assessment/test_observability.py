@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the motion did not show is said, always; what it showed is never called unseen."""
 
 import numpy as np

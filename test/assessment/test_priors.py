@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is known beforehand enters as one more residual, and nothing else changes."""
 
 from motion_data import perturb, random_pose, sensor_pair

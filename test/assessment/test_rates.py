@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the rate: recordings of one drive at 10, 50 and 200 Hz are judged alike."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """`reference: auto`: the choice follows the noise, and is explained."""
 
 from dataclasses import replace

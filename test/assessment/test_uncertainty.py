@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Covariances are judged by coverage: errors against a known truth, over many seeds."""
 
 from motion_data import random_pose, stamps, wander

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A saved extrinsic is judged on other data: it holds, it has moved, or nobody can tell."""
 
 import dataclasses

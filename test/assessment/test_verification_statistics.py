@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How often ``verify`` and ``fleet`` are right; benchmarks/verification.py has the long form."""
 
 from collections import Counter

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``python -m benchmarks.paper``: what it computes, what it writes, and that it continues."""
 
 import csv

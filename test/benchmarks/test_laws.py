@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Laws that hold whatever the truth is, on simulated drives and on real pairs where they are."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``benchmarks/speed.py`` prints the table that ``docs/speed.md`` shows."""
 
 import importlib.util

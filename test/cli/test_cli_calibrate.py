@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration calibrate``: answers, formats, files, and wrong input of every kind."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Options of the inputs: they reach the readers, for both files or for one."""
 
 import argparse

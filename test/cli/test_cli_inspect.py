@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration inspect``: what is there, and whether its motion suffices."""
 
 import json

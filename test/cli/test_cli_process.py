@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The command line as a process: start-up, signals, pipes, progress."""
 
 import io

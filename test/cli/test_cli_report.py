@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The screen, the exit status and the report of the command line."""
 
 from html.parser import HTMLParser

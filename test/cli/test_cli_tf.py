@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A robot of map -> odom -> base_link and a camera: TF gives the answer of Odometry."""
 
 import json

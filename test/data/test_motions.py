@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The reference selections A, B<n>, C<n>, and the four error measures."""
 
 from hypothesis import given

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Validation at the border: what a trajectory accepts, repairs with a word, and refuses."""
 
 from motion_data import stamps, wander

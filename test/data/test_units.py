@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Files in other units than seconds and metres raise a question, and nothing else does."""
 
 from dataclasses import replace

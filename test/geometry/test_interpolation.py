@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Between two poses: laws of the path, and what it must not take from neighbours."""
 
 from dataclasses import replace

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The algebra of rigid motions: laws over the whole group, its corners included."""
 
 from hypothesis import given

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Advice is the answer: what it predicts, what it costs, and what a driver reads."""
 
 import numpy as np

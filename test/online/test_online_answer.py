@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The answer of a call, and a saved result that must fit the vehicle."""
 
 import json

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What enters a buffer, what does not, and how much it keeps. Needs no ROS."""
 
 import math

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged messages: whatever bytes arrive, they are counted and nothing is raised."""
 
 from functools import lru_cache

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Both tracks in one world. Needs no ROS."""
 
 import numpy as np

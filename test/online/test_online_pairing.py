@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The counts of the diagnostics are those of the association. Needs no ROS."""
 
 import numpy as np

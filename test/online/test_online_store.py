@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Saved results survive whatever happens to the process. Needs no ROS."""
 
 from dataclasses import replace

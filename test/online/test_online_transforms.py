@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A chain of transforms gives the answer of the Odometry, replayed and offline.."""
 
 import json

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """TF stays a tree: which edge carries an extrinsic, and when none may."""
 
 import numpy as np

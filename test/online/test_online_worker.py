@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The solver process: one job at a time, stopped when asked, nothing left behind. Needs no ROS."""
 
 import os

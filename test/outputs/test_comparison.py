@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many answers: one truth, or a change that is named; never a mean over two."""
 
 import csv

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every export holds the same transform, in the direction that its sentence says."""
 
 import io

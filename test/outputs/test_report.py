@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The report: one file, small and fast, well formed, with the numbers of the result."""
 
 from html.parser import HTMLParser

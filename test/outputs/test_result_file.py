@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A result file means the same to every reader, and is what its schema says."""
 
 import dataclasses

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The screen: the answer first, with a mark beside each number; findings, width and colour."""
 
 from dataclasses import replace

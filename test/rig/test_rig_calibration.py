@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``calibrate_rig`` from trajectories to poses, findings and files."""
 
 from itertools import combinations

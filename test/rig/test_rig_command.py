@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The subcommand ``rig``: RIG.yaml in; screen, files and page out."""
 
 from html.parser import HTMLParser

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One consistent rig from pairs whose noise is shared."""
 
 from itertools import combinations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The nodes that ``rig.launch.py`` starts for RIG.yaml."""
 
 import pytest

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rigs over seeds, thinned: ``python -m benchmarks.rig`` has the long ones."""
 
 from dataclasses import replace

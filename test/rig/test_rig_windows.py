@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What sensors say of common windows, and the noise of each."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A shift in short: much data, bad messages of every kind, calls in between, nothing lost.
 
 A few seconds of it run always. ``TRAJECTORY_CALIBRATION_SOAK_S=600`` runs ten minutes of replayed

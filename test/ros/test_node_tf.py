@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """TF as an input and as an output, where tf2_msgs is installed; what is said where it is not."""
 
 import importlib.util

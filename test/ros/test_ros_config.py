@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The files in config/ name what the node really has."""
 
 from importlib.util import find_spec

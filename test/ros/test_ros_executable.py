@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The executable where ROS is missing, and where a signal comes before the node is there."""
 
 import importlib.util

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The simulator against the paper's published trajectories and against its own definition."""
 
 from dataclasses import fields, replace

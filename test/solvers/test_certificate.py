@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The certificate proves true minima, never a false one, and its bound always holds."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One contract for motion that leaves directions open, whoever solves, however exact the data."""
 
 from motion_data import perturb, random_pose, sensor_pair, wander

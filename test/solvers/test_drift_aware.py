@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The drift-aware solver as a whole: laws, noise identified, honest covariance, real data."""
 
 from dataclasses import replace

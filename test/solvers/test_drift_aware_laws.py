@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Laws of the drift-aware solver that need no truth: what must not change the answer."""
 
 from dataclasses import replace

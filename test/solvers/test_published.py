@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The paper's figures, from the paper's trajectories."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The registry: capabilities are data, and other packages add to it (docs/add_a_solver.md)."""
 
 from pathlib import Path

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One suite of laws over every solver of relative motions, then what each promises alone."""
 
 import itertools

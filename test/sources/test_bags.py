@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories read back from real bags are those that were written."""
 
 from bag_writing import BagFile, make_track, write_bag

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Damaged bags give what is whole, with a warning, or one named error; never anything else."""
 
 import shutil

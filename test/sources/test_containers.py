@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Bags of every container, also those that rosbag2 itself did not write, give what they hold."""
 
 import shutil

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The small inputs of real tools that failed once: read rightly, or refused with the option."""
 
 import numpy as np

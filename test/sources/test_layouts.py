@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Any layout of a table is read rightly, or refused with the option that reads it."""
 
 import json

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Numbers read a block at a time are those that Python reads one by one."""
 
 from decimal import Decimal

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses read straight from CDR bytes are exactly those of the general deserialiser."""
 
 from bag_writing import make_track, Messages, ROS2

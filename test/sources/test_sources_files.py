@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """TUM, KITTI and EuRoC files: exact round trips, and what is wrong with a file in one line."""
 
 import bz2

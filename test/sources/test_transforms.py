@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Chains of transforms: the poses that tf2 would give, and why there are none."""
 
 import numpy as np

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Association in time: other rates, other clocks, gaps, and what cannot be paired."""
 
 from hypothesis import given, settings

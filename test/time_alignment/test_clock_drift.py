@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Clocks that run at different rates: found, corrected, said, and never made up."""
 
 from dataclasses import replace

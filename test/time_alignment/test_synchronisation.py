@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The offset between two clocks, from the turning of two sensors."""
 
 from motion_data import perturb, random_pose

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How far an extrinsic may be from the truth: one noise model for the answers of all solvers.
 
 Motions share poses, drift, lag and jump: a covariance from the residuals of a solver is wrong by

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which directions of an extrinsic the motion excited, and which only noise pretends to.
 
 Noise in the rotations passes for motion: on flat ground the pitch and roll that a sensor reports

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Whether two trajectories are those of one vehicle, before a solver makes something of them.
 
 A solver finds the best extrinsic for any two trajectories: also for those of two vehicles, for

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The four error measures of the paper (doi:10.3390/s23073740, section III-E)."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the motion determined of an extrinsic, and what it did not.
 
 The covariance of the answer says it: a direction that the motion left open is one in which the

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Whether one clock offset holds along a whole drive, as it does for sensors of one vehicle.
 
 Two cars on one road turn at the same places, so that some offset makes their turns agree. But

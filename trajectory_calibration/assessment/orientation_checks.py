@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Whether a trajectory has an orientation of its own, and holds the poses it claims to hold.
 
 Receivers of GNSS give positions. What fills in an orientation writes a constant, or the course

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is known of the extrinsic beforehand, added to what the motion says."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which reference to take: short motions drown in white noise, long ones in drift and jumps.
 
 The errors of the relative motions do not tell which reference gives the better extrinsic. What the

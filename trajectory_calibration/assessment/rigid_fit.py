@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How well one rigid motion explains two trajectories, in milliseconds and by any reading of them.
 
 No solver and no error bars: relative motions over a few lags, the rotation between the sensors

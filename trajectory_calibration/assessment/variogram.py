@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The noise between two trajectories, read off their disagreement over longer and longer motions.
 
 Two sensors on one body should report the same motion. The mean square of their disagreement over

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration calibrate``: files or topics in, the extrinsic out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration compare``: saved results of the same sensors."""
 
 from __future__ import annotations

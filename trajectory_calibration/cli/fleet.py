@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration fleet``: many recordings of the same sensors, calibrated, compared."""
 
 from __future__ import annotations

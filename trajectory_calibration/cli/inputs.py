@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The inputs of every subcommand that reads trajectories: options, and how they are loaded."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration inspect``: what is in a bag or a file, and whether it suffices."""
 
 from __future__ import annotations

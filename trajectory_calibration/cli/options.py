@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Options that several subcommands share: every setting of a calibration."""
 
 from __future__ import annotations

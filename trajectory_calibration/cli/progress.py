@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Signs of progress on standard error, where a person watches."""
 
 from __future__ import annotations

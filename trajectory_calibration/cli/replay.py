@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration replay``: a bag through the node's code, without the node."""
 
 from __future__ import annotations

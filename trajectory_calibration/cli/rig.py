@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration rig``: all sensors of a vehicle in one consistent answer."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``trajectory_calibration simulate``: two trajectories with a known extrinsic, as files."""
 
 from __future__ import annotations

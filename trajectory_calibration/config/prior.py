@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is known of the extrinsic beforehand: a tape measure, a drawing, a mounting plate.
 
 A prior is written as text, so that a ROS parameter and a command line can hold it:

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every setting of a calibration: its default, its range, and what it means.
 
 The command line, the node's parameters and ``config/calibration.yaml`` derive from the fields

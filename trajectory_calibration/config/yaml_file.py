@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Text and YAML in and out of files, whole or not at all, or a named error."""
 
 from __future__ import annotations

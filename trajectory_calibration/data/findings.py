@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a person or a program should know about the data and the answer, with stable codes.
 
 ``Finding`` replaces a sentence that nobody could match on: the code is stable and documented

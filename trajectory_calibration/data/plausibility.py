@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Questions about the units of stamps and positions that no drive explains.
 
 Files carry numbers without units. A drive in millimetres, or with times in microseconds, breaks

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses of two sensors at common times, and how they came about."""
 
 from __future__ import annotations

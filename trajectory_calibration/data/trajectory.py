@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A trajectory: where one sensor says that it was, and when."""
 
 from __future__ import annotations

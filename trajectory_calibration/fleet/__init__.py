@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many recordings of the same sensors: does an extrinsic hold, and when did a sensor move."""
 
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry

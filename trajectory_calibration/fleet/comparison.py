@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many answers for one pair of sensors: one truth, or did a sensor move, and when.
 
 The answers, in the order of their dates, are split into stretches within which they agree: the

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How far apart two answers are, in view of what each of them knows."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many independent tasks on the cores of one machine, or on a Dask cluster."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Recordings to calibrate, each by itself: which they are, and their results on disk.
 
 A job that has a result file is done: a run that was killed goes on where it was.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Chi-squared probabilities and quantiles, and the one false-alarm probability of all checks.
 
 SciPy has both; importing ``scipy.special`` takes longer than a calibration. The probability is the

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses of a trajectory between its stamps."""
 
 from __future__ import annotations

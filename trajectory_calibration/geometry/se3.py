@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rigid motions in three dimensions, over whole arrays.
 
 Conventions, the same everywhere in the package:

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What ``~/calibrate`` would answer now, and what the driver should do about it.
 
 The advice is the calibration itself, on the poses held so far, thinned where they are very many,

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The answer of ``~/calibrate`` in words, and in one line of JSON."""
 
 from __future__ import annotations

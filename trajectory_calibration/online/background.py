@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the node computes unasked, beside the calls: advice, and whether its answer still holds.
 
 One process at a time, at the lowest priority, within a budget of CPU time: while driving there

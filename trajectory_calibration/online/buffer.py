@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The poses of one sensor as they arrive: bounded, checked, ready to be calibrated from.
 
 Nothing here imports ROS, so that a replay of a bag runs through the same code as the node.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From the bytes of a message to a pose in a buffer; the same for a topic and for a bag.
 
 Nothing here imports ROS. Building a message object costs ten times what the rest of a callback

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the launch file does with its arguments; apart from it, because ``launch`` is not on PyPI.
 
 An argument that is given beats the parameter file; one that is empty leaves it to the file.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How much the vehicle has moved so far, and whether that has grown.
 
 Counted in whole seconds with poses of every sensor: of a standstill a buffer keeps one pose, so

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The node's options: one for each field of CalibrationConfig, and the node's own.
 
 Defaults, ranges and words of the parameters, of ``config/calibration.yaml`` and of a replay come

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Both tracks in one world, so that a person sees whether they fit. Nothing here imports ROS."""
 
 from __future__ import annotations

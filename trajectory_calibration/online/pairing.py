@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How many poses of one sensor have a place among the other's: counted, not paired.
 
 Each second, so that pairing all of them again would cost too much.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Why a pose does not enter a buffer."""
 
 from __future__ import annotations

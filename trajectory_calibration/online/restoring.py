@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A saved result that waits until the frames of the vehicle are known."""
 
 from __future__ import annotations

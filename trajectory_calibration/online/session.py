@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A buffer for each sensor and what is calibrated from them: what the node and a replay share."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the node knows of its own calibrations: the last answer, the last failure, the motion."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Results on disk: one file for each, numbered, never overwritten. Nothing here imports ROS."""
 
 from __future__ import annotations

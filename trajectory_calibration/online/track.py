@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a buffer held at one moment, whole or in part."""
 
 from __future__ import annotations

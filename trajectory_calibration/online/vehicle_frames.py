@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where an extrinsic may hang in the frames of a vehicle, so that TF stays a tree.
 
 In TF a frame has one parent. A second transform for a frame that has one moves the frame under

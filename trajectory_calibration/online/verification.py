@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Whether the answer that the node publishes still holds on what arrives.
 
 A sensor that was knocked is found while driving: the recent poses are calibrated by themselves

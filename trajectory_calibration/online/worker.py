@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Calibrations in a process of their own, beside a node that keeps receiving.
 
 A thread would share the interpreter lock with the callbacks: a solver that computes for a second

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The six numbers of an answer with their deviations and marks: one table for every surface.
 
 The screen, the report and the notebook show these rows, so that they cannot differ.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many answers as text, CSV and JSON."""
 
 from __future__ import annotations

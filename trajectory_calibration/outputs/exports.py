@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A result in the formats of other tools, each as text that can be pasted.
 
 ``EXPORTS`` is the registry: the command line, ``--output`` and the report take their choices

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A known extrinsic out of a file, in any of the forms in which people have one."""
 
 from __future__ import annotations

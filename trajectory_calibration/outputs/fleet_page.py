@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Many answers as one page: verdict, six control charts over the date, table. Works offline."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The fixed joints of a URDF: where one frame of a robot sits in another."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a trajectory offers to a calibration, before there is a second one."""
 
 from __future__ import annotations

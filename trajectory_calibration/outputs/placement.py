@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One transform between two named frames, moved to where a tree of frames needs it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The figures of the report in Matplotlib: for notebooks, papers, PNG, SVG and PDF.
 
 ``Figure`` is used without pyplot: no window, no global state, no backend to choose.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A rig in the formats of other tools: one file for the whole tree."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One self-contained HTML page that shows what a rig rests on."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A rig as a person reads it on a terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A result, and an inspection, as a person reads them on a terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a terminal can show: its width, its colours, and text broken to fit."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Whether a person may use an answer, in one word, one sentence and one next step."""
 
 from __future__ import annotations

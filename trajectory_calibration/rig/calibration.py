@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """``calibrate_rig``: trajectories of several sensors in, one consistent rig out."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Clocks of a rig: each sensor's stamps become those of the base."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Does a rig still hold? Two rigs of independent drives, sensor by sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which sensor does not fit the others, and how sure that is."""
 
 from __future__ import annotations

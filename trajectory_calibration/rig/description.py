@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """RIG.yaml: which sensors a vehicle has, where their trajectories are, and how to calibrate."""
 
 from __future__ import annotations

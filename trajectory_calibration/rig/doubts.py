@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Every sensor that does not fit, with what was found and what to do."""
 
 from __future__ import annotations

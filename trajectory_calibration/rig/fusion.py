@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The answers of pairs become one rig: Gauss-Newton on the graph of sensors.
 
 The unknowns are the poses of all sensors but the base. Every loop closes exactly, because every

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The nodes that calibrate a rig while it drives: one for each sensor, against the base.
 
 ``launch/rig.launch.py`` starts them; ``trajectory_calibration rig --from-results DIR`` makes one

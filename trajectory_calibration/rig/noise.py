@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The noise of each sensor, from what pairs of them differ by.
 
 The mean square of the difference of two sensors is the sum of what each contributes. With three

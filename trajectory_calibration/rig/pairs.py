@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which pairs of sensors are calibrated, and their answers."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The rig, with everything needed to judge it."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What is known of a rig before it drives, and how it is calibrated."""
 
 from __future__ import annotations

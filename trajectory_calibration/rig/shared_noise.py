@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How much the answers of pairs err together.
 
 The noise of sensor 2 is in the pairs 1-2 and 2-3. Each pair is taken as the estimating equation

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One connected tree of sensors: from the answers of its pairs to consistent poses."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What every sensor says of the same stretches of time.
 
 All tracks are carried into the base and sampled on one grid. Each window of a dyadic grid (2, 4,

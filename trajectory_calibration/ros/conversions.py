@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Between messages and numbers; the only place that knows the fields of a message."""
 
 from __future__ import annotations

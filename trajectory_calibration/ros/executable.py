@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The executable ``calibration_node``: the node, its usage, or what to do where ROS is missing."""
 
 from __future__ import annotations

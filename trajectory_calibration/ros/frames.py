@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The transforms of the vehicle: what is heard on /tf and /tf_static, and what is published.
 
 ``tf2_msgs`` is loaded here, and only where it is needed: it is not in rclpy's wheels.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The node: receives two trajectories, calibrates on request, publishes the extrinsic."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Everything the node publishes about an answer, latched."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """When and where an extrinsic goes to /tf_static, and how it compares with the vehicle's own."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The process of the node: from the ROS arguments to its end by a signal."""
 
 from __future__ import annotations

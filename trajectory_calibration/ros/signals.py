@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The end of the process by a signal, from before the first import that takes time.
 
 Nothing here imports ROS or anything that takes time to load.

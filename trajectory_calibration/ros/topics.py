@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A subscription that finds its type and its quality of service from the publishers."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories with a known extrinsic: the paper's generator, and what real sensors add to it.
 
 ``simulate(SCENARIOS['mixture'], seed=1)`` gives two trajectories and the truth.

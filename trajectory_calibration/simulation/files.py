@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Simulated trajectories as files: TUM and rosbag2."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a SLAM does to a trajectory: drift, scale, loop closures, jumps, noise.
 
 Every function takes true or already disturbed (N, 4, 4) poses in time order and returns new

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Paths: where a base moves, as functions of time.
 
 A path maps (N,) seconds to the (N, 4, 4) poses ``T_world_base`` at those times, so that sensors

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Several sensors on one base: their trajectories, and where each of them truly is."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From a scenario and a seed to two trajectories and the truth."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Solvers: relative motions of two sensors -> the extrinsic between them; one paper a module."""
 
 from trajectory_calibration.solvers.registry import (

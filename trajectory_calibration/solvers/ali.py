@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Ali: the translation rows of ``A X = X B`` over unit quaternion and translation.
 
 I. Ali, O. Suominen, A. Gotchev, E. R. Morales, "Methods for Simultaneous Robot-World-Hand-Eye

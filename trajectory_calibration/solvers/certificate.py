@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Proof that a minimum of ``v^T G v`` over SE(3) is the lowest there is.
 
 The cost is quadratic in v = (vec R, t, 1) and rotations are quadratic too: the rows and the

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a solver that identifies the noise says of a pair of trajectories, as plain data."""
 
 from __future__ import annotations

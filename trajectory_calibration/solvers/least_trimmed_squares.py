@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The cost of ``dnlo`` for many motions: weights in closed form, the extrinsic by Gram matrices.
 
     min over X, alpha of  sum alpha |M|^2 + (1 - alpha) c,   0 <= alpha <= 1,  sum alpha >= d M

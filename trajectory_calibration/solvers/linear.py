@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """First derivatives of the solvers' residuals, motion by motion, in the axes of sensor a.
 
 With ``C = X B X^-1``, the motion of b as sensor a would see it, every solver compares A with C,

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The cost ``sum |A X - X B|^2`` as one quadratic form, and its minimum over SE(3).
 
 The cost of a motion is a sum of 91 products of the entries of ``v = (vec R, t, 1)``, 13 numbers

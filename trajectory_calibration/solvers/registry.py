@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What solvers there are, what each needs and what it estimates.
 
 Nothing else in the package knows a solver by its name: the pipeline, the settings and the choice

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Rotation first, then translation: ``park`` and ``taylor``.
 
 Both align the rotation vectors of the motions, ``min over R of sum |phi_A - R phi_B|^2``, and then

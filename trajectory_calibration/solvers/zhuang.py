@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Zhuang: Gauss-Newton in z = tan(w/2) k and the translation, through the identification Jacobian.
 
 H. Zhuang, Z. Qu, "A New Identification Jacobian for Robotic Hand/Eye Calibration", IEEE

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where trajectories come from: files and bags here; live buffers in ``ros``.
 
 ``FileSource('a.tum').load()`` and ``BagSource(['drive.mcap'], '/odometry').load()`` return a

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories in bags: rosbag2 (sqlite3, mcap, compressed or not) and ROS 1.
 
 Of a damaged bag, what is whole is used, with a note that says how much is missing.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses straight out of serialized messages, without building message objects.
 
 What DDS sends and bags hold is CDR: a header of four bytes (byte 1 is 1 where little endian),

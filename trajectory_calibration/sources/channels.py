@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What every container gives: channels, batches of their messages, and names of types."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses out of serialized messages of any kind, one at a time: the slow and general way.
 
 For what ``cdr`` leaves: big endian, unusual layouts, blocks of many frames. A message is read

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The transforms from one frame to its child, over time."""
 
 from __future__ import annotations

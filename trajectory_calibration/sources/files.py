@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories in files: tables of any layout, g2o, COLMAP, nerfstudio, NumPy.
 
 docs/inputs.md lists them. Rows that are not finite, or whose quaternion is all zeros, are what a

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One name for everything that can be read: a file, a topic of a bag, a pair of frames of TF.
 
 ``load_inputs(['/odom', 'camera.tum'], bags=['drive.mcap'])`` returns two trajectories.

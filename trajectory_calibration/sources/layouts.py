@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the columns of a table are: told by a heading, by the user, or by the numbers.
 
 The numbers tell where a quaternion is (four of them have the length one) or a rotation matrix

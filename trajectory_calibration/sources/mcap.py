@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """An mcap file, read record by record from its start, with its index as a check only.
 
 A file without an index, or cut off, or with damaged chunks, then needs no reader of its own: what

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Decimal numbers out of text, a block at a time: exact, and several times faster than one by one.
 
 Eight digits are one 64-bit word, which three multiplications turn into their value. A number of

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Compressed data: the formats that bags use. Their packages load where they are met."""
 
 from __future__ import annotations

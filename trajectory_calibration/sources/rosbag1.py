@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A bag of ROS 1, read record by record from its start, with its index as a check only.
 
 A bag that was not closed, or is cut off, needs no reader of its own then: what is whole is read.

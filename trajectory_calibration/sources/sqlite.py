@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A sqlite3 file of rosbag2, read row by row in the order in which the rows were written."""
 
 from __future__ import annotations

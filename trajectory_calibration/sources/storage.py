@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The files of a bag: where they lie, what metadata.yaml says of them, and who reads them."""
 
 from __future__ import annotations

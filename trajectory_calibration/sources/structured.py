@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Poses in files that are no tables: g2o, COLMAP, nerfstudio, NumPy."""
 
 from __future__ import annotations

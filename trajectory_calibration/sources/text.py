@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A text file as a table of fields, with its heading; or the reason why it is none."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Times as they stand in files: their unit, what writers do to them, times in a file of their own.
 
 Each function returns exact integer nanoseconds and notes on what was understood or repaired.

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The messages of one topic, gathered and made into a trajectory."""
 
 from __future__ import annotations

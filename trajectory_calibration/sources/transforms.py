@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The pose of one frame in another out of many transforms: what tf2 answers, without ROS.
 
 A robot publishes ``map -> odom`` and ``odom -> base_link`` separately, each at its own times.

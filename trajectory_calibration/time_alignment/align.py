@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """From two trajectories to pairs of poses, as the settings have it: clocks first, then poses."""
 
 from __future__ import annotations

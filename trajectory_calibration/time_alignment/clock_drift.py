@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How much faster one clock runs than another, from when each sensor turned.
 
 Oscillators of computers and sensors differ by some 1e-5: 20 ms in half an hour that no constant

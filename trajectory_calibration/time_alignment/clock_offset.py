@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What takes the stamps of one sensor into the clock of another, from when each of them turned.
 
 Both sensors turn by the same angles about axes that differ by one constant rotation, wherever

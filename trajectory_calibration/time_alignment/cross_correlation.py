@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Offsets between two clocks at which two sensors turned alike, on a grid of cells.
 
 The rotations of both in every cell are compared at every offset by the largest correlation that

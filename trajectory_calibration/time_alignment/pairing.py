@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Which pose of a belongs to which pose of b: association in time."""
 
 from __future__ import annotations

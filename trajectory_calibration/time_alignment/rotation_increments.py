@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How far two sensors turned over the same short times: what tells of their clocks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """One self-contained HTML page that shows what a calibration rests on."""
 
 from trajectory_calibration.outputs.report.record import hash_inputs, Input, Record

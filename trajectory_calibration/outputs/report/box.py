@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The verdict box: the answer, how well it is known, what to do, and text to copy."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How fast each sensor turned and when: what the clocks and the gaps look like."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The transform and its inverse in the formats of other tools, ready to be copied."""
 
 from __future__ import annotations

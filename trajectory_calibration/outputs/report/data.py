@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Everything that the figures show, computed once from a result and its two trajectories."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The figures of the report, each drawn from ``ReportData``."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Small figures as inline SVG: axes, lines, bands, points and bars, coloured by style sheet.
 
 A figure is drawn 360 units wide, which is the width of a phone, so that its text stays as large

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The frame of a report: one file with its style and scripts inside, and nothing from outside."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Does every part of the data say the same? The extrinsic from quarters and from time scales.
 
 One weighted Gauss-Newton step about the answer, from motions of one length in time: cheap, and

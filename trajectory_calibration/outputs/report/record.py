@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What a calibration was made of: enough to repeat it, or to tell that it was another."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """A result, or the reason why there is none, as one HTML page."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The numbered sections of a report: figures with one sentence of what they say here."""
 
 from __future__ import annotations

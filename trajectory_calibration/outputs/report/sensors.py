@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Sensor b in the frame of a, with the region that holds it with 95 % probability."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """HTML in small pieces: escaped text, numbers, figures with their captions."""
 
 from __future__ import annotations

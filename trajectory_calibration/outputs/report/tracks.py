@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where a went, and where b says that a went: the two tracks of a result, side by side."""
 
 from __future__ import annotations

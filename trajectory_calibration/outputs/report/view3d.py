@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The two tracks as a drawing from above, and as numbers for the view that can be turned."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Small matrices by the thousand: rotations, adjoints and products without a loop."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The covariance of all parameters: information, prior and the sandwich over blocks."""
 
 from __future__ import annotations

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What the fit says about the two trajectories, in numbers and in words."""
 
 from __future__ import annotations

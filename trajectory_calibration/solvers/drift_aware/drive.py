@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Two trajectories, and what is steadily wrong with them: the mean of the model.
 
 All that enters is relative to the first pose of each sensor, so that neither world matters.

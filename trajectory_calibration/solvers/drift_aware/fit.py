@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Extrinsic, terms and noise together: rounds of Gauss-Newton, Fisher scoring and jumps."""
 
 from __future__ import annotations

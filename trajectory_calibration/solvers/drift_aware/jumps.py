@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Pose jumps: steps that no tail of the noise explains.
 
 The squares of all steps are a mixture of a Student core, whose tail is found with it, and a wide

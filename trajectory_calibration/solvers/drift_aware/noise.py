@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The variances of the tree, by restricted likelihood beside the extrinsic.
 
 For contrasts ``d ~ N(J dx, V)`` whose covariance is linear in variances s, ``dV/ds_i = E_i``,

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """What each octave tells of the parameters, and how much of it to believe.
 
 The noise of SLAM at short times is no white noise: smoothing, deskewing and delays correlate it

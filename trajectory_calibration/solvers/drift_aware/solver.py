@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Drift-aware: maximum likelihood on a tree of worlds.
 
 Every other solver takes relative motions over a fixed lag: short ones drown in white noise, long

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """How much the answer varies: a sandwich over blocks of the drive, never less than the model.
 
 The combined score is summed over 20, 10 and 5 blocks of time. Blocks see what contrasts do not:

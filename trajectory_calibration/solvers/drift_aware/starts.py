@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Where to begin: robust answers over several lags, and the unit of b.
 
 Each start aligns the rotation vectors of motions over one lag (G. Wahba, SIAM Review 7(3), 1965,

@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """Student's t for contrasts: weights of outliers, and how heavy the tails are."""
 
 from __future__ import annotations

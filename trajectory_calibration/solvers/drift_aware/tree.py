@@ -1,3 +1,5 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
 """The tree of worlds: a likelihood of two trajectories in O(N), without a loop over poses.
 
 Pose k says where the world of b lies in the world of a: ``Z_k = A_k X B_k^-1``. Between perfect
