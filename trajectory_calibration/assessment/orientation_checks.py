@@ -101,8 +101,12 @@ def _follows(
     apart = _wrapped(course - yaw[k])
     # The axis of the turns, and with it where yaw counts from, is known but for a constant.
     apart = _wrapped(apart - np.angle(np.mean(np.exp(1j * apart[long_]))))
-    rough = float(np.median(np.abs(_wrapped(np.diff(course, 2)))[inner]))
-    if rough > _DIGITS and np.median(np.abs(apart[long_])) < _COPIED * rough:
+    bend = np.where(inner, _wrapped(np.diff(course, 2)), 0.0)
+    rough = float(np.median(np.abs(bend[inner])))
+    # Errors of positions bend the course to and fro. Without any, it bends as the road does, and
+    # a vehicle that does not slip is truly turned along it.
+    to_and_fro = float(bend[:-1] @ bend[1:]) < 0
+    if to_and_fro and rough > _DIGITS and np.median(np.abs(apart[long_])) < _COPIED * rough:
         return True
     if not height_varies or before != _HALF_SPAN:
         return False
