@@ -8,9 +8,11 @@ import pytest
 from trajectory_calibration import calibrate, CalibrationConfig, MotionError, Trajectory
 from trajectory_calibration.assessment.excitation import split_pairs
 from trajectory_calibration.assessment.observability import (
+    _ways_out,
     DEGREES_OF_FREEDOM,
     Observability,
     observe,
+    WeakAxis,
 )
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.geometry import se3
@@ -107,6 +109,13 @@ def test_what_a_straight_line_tells_is_an_answer():
     rotations = [item for item in found.observability.weak_axes if item.kind == 'rotation']
     assert [item.status for item in rotations] == ['unobserved']
     np.testing.assert_allclose(rotations[0].axis, np.ones(3) / np.sqrt(3), atol=0.02)
+
+
+def test_one_number_is_advised_along_an_axis_only():
+    upright, aslant = (_ways_out(WeakAxis('translation', axis, 9.0, 'unobserved'))
+                       for axis in ((0.0, 0.1, 0.995), (0.6, 0.0, 0.8)))
+    assert 'measure it and add --prior-translation=-,-,Z ' in upright
+    assert 'give all of --prior-translation=X,Y,Z ' in aslant
 
 
 def test_a_good_drive_has_nothing_to_say():

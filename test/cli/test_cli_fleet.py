@@ -86,11 +86,16 @@ def test_compare_says_the_same_of_the_results(done, capsys, tmp_path):
         'along x' in json.loads(out)['changes'][0]['axes'])
     assert 'CHANGED' in err
     assert (tmp_path / 'fleet.html').exists()
+    again = ('compare', *results, '--output', tmp_path)
+    status, out, err = run(capsys, *again)
+    assert (status, out) == (2, '')
+    assert 'table.csv and 2 more exists; give --force' in err
+    assert run(capsys, *again, '--force')[0] == 4
     before = [path for path in results if int(path.name[5:].partition('-')[0]) < 8]
     status, out, _ = run(capsys, 'compare', *before, '--format', 'csv')
     assert status == 0
     assert len(list(csv.DictReader(io.StringIO(out)))) == 8
-    assert run(capsys, 'compare', results[0])[0] == 1
+    assert run(capsys, 'compare', results[0])[0] == 2
 
 
 def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):

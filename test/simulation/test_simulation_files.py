@@ -41,6 +41,17 @@ def test_tum_files_hold_the_pair(tmp_path, capsys):
     assert main([*shlex.split(hint), '--solver', 'park']) == 0
 
 
+def test_an_earlier_drive_is_overwritten_only_by_force(tmp_path, capsys):
+    options = ('--scenario', 'noise', '--duration', '5')
+    assert simulate_to(tmp_path, *options) == 0
+    before = (tmp_path / 'a.tum').read_bytes()
+    assert simulate_to(tmp_path, *options, '--seed', '1') == 2
+    assert 'truth.tum and 2 more exists; give --force' in capsys.readouterr().err
+    assert (tmp_path / 'a.tum').read_bytes() == before
+    assert simulate_to(tmp_path, *options, '--seed', '1', '--force') == 0
+    assert (tmp_path / 'a.tum').read_bytes() != before
+
+
 def test_stamps_before_the_epoch_do_not_change(tmp_path):
     stamps_ns = np.array([-1_500_000_000, -200_000_000, -1, 700_000_001])
     poses = np.tile(np.eye(4), (4, 1, 1))

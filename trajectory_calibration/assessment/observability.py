@@ -311,10 +311,14 @@ def _describe(
 
 def _ways_out(item: WeakAxis) -> str:
     """Return the other two ways out of a direction that the motion left open."""
-    if item.kind == 'translation':
+    publish = 'or, in the node, set allow_unobserved to publish it all the same'
+    if item.kind == 'rotation':
+        prior = 'measure it and add --prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
+    elif max(np.abs(item.axis)) > _NEAR_AXIS:
         k = int(np.argmax(np.abs(item.axis)))
         known = ','.join('XYZ'[k] if k == j else '-' for j in range(3))
-        prior = f'--prior-translation={known} --prior-translation-std=0.01'
+        prior = f'measure it and add --prior-translation={known} --prior-translation-std=0.01'
     else:
-        prior = '--prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
-    return f', or measure it and add {prior}, or set allow_unobserved'
+        # One number along an axis of the sensor does not fix an oblique direction.
+        prior = 'give all of --prior-translation=X,Y,Z --prior-translation-std=0.01'
+    return f', or {prior}, {publish}'

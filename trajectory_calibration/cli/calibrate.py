@@ -51,7 +51,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     group.add_argument(
         '-v', '--verbose', action='store_true', help='show all findings and how it was made')
     group.add_argument(
-        '-q', '--quiet', action='store_true', help='show the transform alone: x y z qx qy qz qw')
+        '-q', '--quiet', action='store_true', help='show the transform alone: x y z qx qy qz qw '
+        '(serious findings on standard error)')
     group.add_argument(
         '--output', type=Path, metavar='DIR',
         help='folder for the result (result.yaml) and its exports (URDF, static transform, ...)')
@@ -123,6 +124,12 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         raise ResultError(f'{error}; give another --output') from error
 
 
+def serious_lines(result: CalibrationResult) -> list[str]:
+    """Return the findings that may make the answer wrong, one line each."""
+    return [f'serious: {" ".join(found.text.split())}' for found in result.findings
+            if found.level == 'serious']
+
+
 def _print(
     result: CalibrationResult, truth: FloatArray | None, arguments: argparse.Namespace,
     written: list[Path],
@@ -133,6 +140,8 @@ def _print(
         print(to_yaml(result.to_dict(truth)), end='')
     elif arguments.quiet:
         print(format_transform(result), end='')
+        for text in serious_lines(result):
+            print(text, file=sys.stderr)
     else:
         print(format_result(
             result, truth, verbose=arguments.verbose, terminal=Terminal.of()), end='')

@@ -8,12 +8,16 @@ import argparse
 from pathlib import Path
 import sys
 
+from trajectory_calibration.cli.report import require_new
 from trajectory_calibration.config.yaml_file import write_text
-from trajectory_calibration.errors import ResultError
+from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
 from trajectory_calibration.outputs.fleet_page import fleet_page
 from trajectory_calibration.result import CalibrationResult
+
+# What --output is filled with.
+FILES = ('table.csv', 'table.json', 'fleet.html')
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -26,6 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         'results', metavar='RESULT', nargs='+', type=Path, help='result.yaml, two or more')
     add_output_options(parser)
+    parser.add_argument('--force', action='store_true', help='overwrite files')
     parser.set_defaults(run=run)
 
 
@@ -41,6 +46,10 @@ def add_output_options(parser: argparse.ArgumentParser, output: Path | None = No
 
 def run(arguments: argparse.Namespace) -> int:
     """Compare and print the table."""
+    if len(arguments.results) < 2:
+        raise ConfigError('compare needs two or more results; one was given')
+    if arguments.output is not None:
+        require_new([arguments.output / name for name in FILES], force=arguments.force)
     names = short_names([str(path) for path in arguments.results])
     return report(
         compare([Entry(name, CalibrationResult.load(path))

@@ -11,6 +11,7 @@ from typing import Any
 
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.sources.files import FORMATS, is_bag
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 from trajectory_calibration.sources.layouts import QUATERNION_ORDERS, TIME_UNITS
@@ -88,6 +89,10 @@ def load_pair(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
     inputs = {f'sensor_{name}': (getattr(arguments, name), options_of(arguments, name))
               for name in 'ab'}
     if arguments.bag:
+        if all(Path(name).is_file() for name, _ in inputs.values()):
+            raise ConfigError(
+                f'--bag {arguments.bag[0]} is not used: {arguments.a} and {arguments.b} are '
+                'files. Leave out --bag, or name topics of the bag')
         with progress_bar('reading') as progress:
             a, b = load_inputs(inputs, arguments.bag, progress).values()
     else:

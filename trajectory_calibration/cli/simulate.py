@@ -11,6 +11,7 @@ import shlex
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.report import require_new
 from trajectory_calibration.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description='Simulate two sensors on one base, and what their SLAM makes of the motion. '
         'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
     parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
+    parser.add_argument('--force', action='store_true', help='overwrite files')
     parser.add_argument(
         '--scenario', default='mixture', metavar='NAME',
         help='noise, outliers, drift, mixture (those of the paper), offroad, road, drone or '
@@ -66,6 +68,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
     from trajectory_calibration.simulation import SCENARIOS, simulate
+    require_new(_files(arguments), force=arguments.force)
     if arguments.scenario not in SCENARIOS:
         raise ConfigError(
             f'scenario {arguments.scenario!r} is unknown; needed one of {", ".join(SCENARIOS)}')
@@ -84,6 +87,17 @@ def run(arguments: argparse.Namespace) -> int:
               f'{trajectory.duration_s:g} s')
     print(f'try: {hint}')
     return 0
+
+
+def _files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that ``--force`` overwrites."""
+    names = ['truth.tum']
+    if arguments.format == 'tum':
+        names += ['a.tum', 'b.tum']
+    elif (arguments.output / 'bag').exists():
+        # Never overwritten: writing it says so, before the truth is written.
+        names = []
+    return [arguments.output / name for name in names]
 
 
 def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
