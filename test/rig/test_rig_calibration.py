@@ -102,6 +102,21 @@ def test_two_sensors_give_the_answer_of_calibrate():
     np.testing.assert_allclose(rig.covariance, alone.covariance, rtol=1e-9)
 
 
+@pytest.mark.parametrize('saved', [False, True])
+@pytest.mark.parametrize('names', ['ab', 'abc'])
+def test_scale_and_clock_are_no_surer_than_the_pairs_state(names, saved):
+    run = simulate_rig(vehicle(names), 2)
+    pairs = {name: calibrate(run.trajectories['a'], run.trajectories[name])
+             for name in names[1:]}
+    rig = fuse_results(list(pairs.values())) if saved else calibrate_rig(run.trajectories)
+    for name, pair in pairs.items():
+        sensor = rig.sensors[name]
+        stated = pair.diagnosis
+        assert stated['scale_deviation'] > 0
+        assert sensor.scale_std >= 0.99 * stated['scale_deviation']
+        assert sensor.clock.offset_std_s >= 0.99 * stated['time_offset_deviation_s'] > 0
+
+
 def test_two_sensors_with_a_prior_give_the_answer_of_calibrate():
     run = simulate_rig(vehicle('ab'), 2)
     x = run.T_base_sensor['b'][:3, 3]

@@ -4,6 +4,7 @@
 
 from html.parser import HTMLParser
 import json
+import re
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -18,6 +19,7 @@ from trajectory_calibration.outputs.rig_exports import placements
 from trajectory_calibration.outputs.rig_report import render_rig
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.rig import RigResult
+from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.simulation.files import write_bag, write_tum
 from trajectory_calibration.simulation.noise import Noise
@@ -148,6 +150,35 @@ def test_json_is_one_object(folder, capsys):
     assert 'error of rear against the ground truth: 0.0000 m' in capsys.readouterr().out
 
 
+def test_results_are_named_and_not_overwritten(folder, tmp_path, capsys):
+    command = ['rig', str(folder / 'RIG.yaml'), '--output', str(tmp_path / 'out')]
+    assert main(command) == 0
+    assert f'wrote {tmp_path / "out"}\n' in capsys.readouterr().out
+    assert main(command) == 2
+    assert 'rig.yaml and 4 more exists; give --force' in capsys.readouterr().err
+    assert main([*command, '--force', '--format', 'json']) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)['base'] == 'lidar'
+    assert f'wrote {tmp_path / "out"}\n' in err
+
+
+def test_a_sensor_of_another_drive_is_open(folder, tmp_path, capsys):
+    for name in ('lidar', 'front', 'rear'):
+        rows = np.loadtxt(folder / f'{name}.tum')
+        rows[:, 0] += 1e5 * (name == 'rear')
+        np.savetxt(tmp_path / f'{name}.tum', rows, fmt='%.9f')
+    (tmp_path / 'RIG.yaml').write_text(RIG)
+    assert main(['rig', str(tmp_path / 'RIG.yaml')]) == 3
+    assert re.search(r'^  rear +no answer$', capsys.readouterr().out, re.MULTILINE)
+
+
+def test_a_sensor_that_was_not_compared_is_open(folder, capsys):
+    (folder / 'two.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
+    assert main(['rig', str(folder / 'two.yaml'),
+                 '--verify', str(folder / 'out' / 'rig.yaml')]) == 3
+    assert 'not compared: rear' in capsys.readouterr().out
+
+
 def test_topics_of_a_bag(tmp_path, capsys):
     write_bag(tmp_path / 'drive', {f'/{k}': v for k, v in drive().trajectories.items()})
     (tmp_path / 'RIG.yaml').write_text(
@@ -184,6 +215,36 @@ def test_open_heights_end_with_status_three(tmp_path, capsys):
     assert 'UNOBSERVED' in (tmp_path / 'out' / 'sensor_kit_calibration.yaml').read_text()
 
 
+def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):
+    run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
+    for name in ('lidar', 'front'):
+        write_tum(tmp_path / f'{name}.tum', run.trajectories[name])
+    text = RIG.replace('  rear: {file: rear.tum}\n', '')
+    (tmp_path / 'RIG.yaml').write_text(text)
+    assert main(['rig', str(tmp_path / 'RIG.yaml')]) == 3
+    shown = ' '.join(capsys.readouterr().out.split())
+    assert "prior_translation: '-,-,Z' and prior_translation_std: 0.01 below front" in shown
+    assert '--prior' not in shown
+    assert 'allow_unobserved' not in shown
+    (tmp_path / 'RIG.yaml').write_text(text.replace(
+        'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
+        'prior_translation_std: 0.01'))
+    assert main(['rig', str(tmp_path / 'RIG.yaml')]) == 0
+
+
+@pytest.mark.parametrize(('text', 'wanted'), [
+    ('Use --invert-a --invert-b', (
+        'Use invert: true below A in RIG.yaml and invert: true below B in RIG.yaml')),
+    ('or --no-input-checks', 'or input_checks: false in settings of RIG.yaml'),
+    ('--quaternion-order-b wxyz?', 'quaternion_order: wxyz below B in RIG.yaml?'),
+    ('--max-time-difference 0.1. Or --max-gap 2', (
+        'max_time_difference: 0.1 in settings of RIG.yaml. Or max_gap: 2 in settings of RIG.yaml'),
+     ),
+])
+def test_options_become_keys(text, wanted):
+    assert in_rig_words(text, 'A', 'B') == wanted
+
+
 def test_a_contradicting_sensor_is_named_on_screen_and_page(tmp_path, capsys):
     run = simulate_rig(RigScenario(
         {name: Sensor(noise=SLAM) for name in ('lidar', 'front', 'rear', 'odometry')}, 30.0,
@@ -192,8 +253,10 @@ def test_a_contradicting_sensor_is_named_on_screen_and_page(tmp_path, capsys):
         write_tum(tmp_path / f'{name}.tum', trajectory)
     (tmp_path / 'RIG.yaml').write_text('sensors:\n' + ''.join(
         f'  {name}: {{file: {name}.tum}}\n' for name in run.trajectories))
-    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--report', str(tmp_path / 'x.html')]) == 0
-    assert 'serious: rear does not move as the other sensors do' in capsys.readouterr().out
+    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--report', str(tmp_path / 'x.html')]) == 3
+    text = capsys.readouterr().out
+    assert 'serious: rear does not move as the other sensors do' in text
+    assert re.search(r'^  rear +no answer$', text, re.MULTILINE)
     assert 'rear (no answer)' in (tmp_path / 'x.html').read_text()
 
 

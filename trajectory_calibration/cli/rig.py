@@ -15,11 +15,18 @@ import sys
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.report import require_new
 from trajectory_calibration.config.yaml_file import to_yaml, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.rig_exports import write_rig_exports
+from trajectory_calibration.outputs.rig_exports import (
+    KIT_FILE,
+    LAUNCH_FILE,
+    MATRICES_FILE,
+    URDF_FILE,
+    write_rig_exports,
+)
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
@@ -40,8 +47,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] RIG.yaml',
         description='Find the poses of all sensors of a vehicle in its base, consistent round '
         'every loop, and name the sensor that does not fit.',
-        epilog='Exit status: 0 done; 3 done, but a direction of a sensor is unknown; 4 a sensor '
-        'moved since --verify; 1 no answer; 2 wrong usage.')
+        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unknown, or '
+        '--verify could not compare a sensor; 4 a sensor moved since --verify; 1 no answer; '
+        '2 wrong usage.')
     parser.add_argument(
         'rig', metavar='RIG.yaml', type=Path, nargs='?',
         help='base, sensors with a topic, tf or file each, and settings: see docs/rig.md')
@@ -69,11 +77,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'launch file, sensor_kit_calibration.yaml, and all exports of each sensor')
     group.add_argument(
         '--report', type=Path, metavar='FILE.html', help='page that shows what the rig rests on')
+    group.add_argument('--force', action='store_true', help='overwrite files')
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate a rig and print it."""
+    require_new(_files(arguments), force=arguments.force)
     truth = None if arguments.ground_truth is None else {
         name: sensor.T_base_sensor
         for name, sensor in RigResult.load(arguments.ground_truth).sensors.items()}
@@ -106,13 +116,26 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.report is not None:
         _write_report(rig, trajectories, sources, arguments)
     _print(rig, truth, arguments)
+    stream = sys.stdout if arguments.format == 'text' else sys.stderr
+    for path in (arguments.output, arguments.report):
+        if path is not None:
+            print(f'wrote {path}', file=stream)
+    is_open = bool(rig.unobserved or rig.unplaced)
     if earlier is not None:
         comparison = compare_rigs(earlier, rig)
-        print(f'against {arguments.verify}: {comparison}',
-              file=sys.stdout if arguments.format == 'text' else sys.stderr)
+        print(f'against {arguments.verify}: {comparison}', file=stream)
         if not comparison.holds:
             return exit_status.CHANGED
-    return exit_status.OPEN if rig.unobserved else exit_status.DONE
+        is_open = is_open or bool(comparison.missing)
+    return exit_status.OPEN if is_open else exit_status.DONE
+
+
+def _files(arguments: argparse.Namespace) -> list[Path]:
+    """Return the files that will be written, but for the folders of single sensors."""
+    files = [] if arguments.output is None else [
+        arguments.output / name
+        for name in (RIG_FILE, URDF_FILE, LAUNCH_FILE, KIT_FILE, MATRICES_FILE)]
+    return files if arguments.report is None else [*files, arguments.report]
 
 
 def _write_report(

@@ -37,6 +37,8 @@ def format_rig(
         lines.append(terminal.paint(
             f'  {"":<14}' + ''.join(f'{name:>20}' for name in _NAMES), 'soft'))
         lines += [_row(rig.sensors[name], terminal) for name in names if name != base]
+    lines += [terminal.paint(f'  {name:<14}{"no answer":>20}', 'unknown')
+              for name in rig.unplaced if name not in rig.sensors]
     lines.append(terminal.paint(
         '  +- standard deviation; w: weak, p: from the prior, unknown: not determined', 'soft'))
     lines.append('')

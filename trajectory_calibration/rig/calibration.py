@@ -15,6 +15,7 @@ from trajectory_calibration.errors import CalibrationError, ConfigError, Traject
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.contradictions import ALARM, survival
 from trajectory_calibration.rig.doubts import (
@@ -33,7 +34,7 @@ from trajectory_calibration.rig.result import (
     SensorAnswer,
 )
 from trajectory_calibration.rig.settings import RigConfig
-from trajectory_calibration.rig.tree import build_tree, Pair
+from trajectory_calibration.rig.tree import build_tree, log_scale_std_of, offset_std_of, Pair
 
 # The finding of each kind of contradiction.
 _CODES = {
@@ -150,20 +151,27 @@ def _of_two(
         prior_rotation=settings.prior_rotation, prior_rotation_std=settings.prior_rotation_std)
     if settings.scale == 'free':
         calibration = replace(calibration, scale_mode='estimate', scale=1.0)
-    result = calibrate(trajectories[base], trajectories[other], calibration)
+    try:
+        result = calibrate(trajectories[base], trajectories[other], calibration)
+    except CalibrationError as error:
+        raise type(error)(in_rig_words(str(error), base, other)) from error
     covariance = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
     sensors = {
         base: _answer(base, base, np.eye(4), np.zeros((6, 6)), config, trajectories),
         other: replace(
             _answer(other, base, result.T_a_b, covariance, config, trajectories),
             status=_status_of(result, covariance, config), scale=result.scale,
-            clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns))}
+            scale_std=result.scale * log_scale_std_of(result),
+            clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
+                        offset_std_of(result)))}
     pair = PairReport(base, other, residual=np.zeros(6), std=np.sqrt(np.diagonal(covariance)),
                       poses=result.poses)
     return RigResult(
         base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
         contradictions=(), chi_squared=0.0, degrees=0, p_value=1.0,
-        findings=tuple(result.findings), config=config)
+        findings=tuple(
+            replace(found, text=in_rig_words(found.text, base, other))
+            for found in result.findings), config=config)
 
 
 def _of_answers(
@@ -314,7 +322,8 @@ def _findings(
     found += [
         Finding('direction-unobserved', (
             f'{component} of {", ".join(names)} unobservable. Drive {_SHOWN_BY[component]}, or '
-            'give a prior below the sensor'), {'component': component, 'sensors': names})
+            'measure it and write prior_translation or prior_rotation (and its _std) below the '
+            'sensor in RIG.yaml'), {'component': component, 'sensors': names})
         for component, names in open_.items()]
     if p_value < ALARM:
         found.append(Finding('rig-loops', (
@@ -326,7 +335,8 @@ def _findings(
 def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
     """Return what is serious about single pairs and said nowhere else."""
     return tuple(
-        replace(found, text=f'{answer.parent} - {answer.child}: {found.text}')
+        replace(found, text=f'{answer.parent} - {answer.child}: '
+                + in_rig_words(found.text, answer.parent, answer.child))
         for answer in answers if answer.result is not None
         for found in answer.result.findings
         if found.level == 'serious' and found.code != 'direction-unobserved')

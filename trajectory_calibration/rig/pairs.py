@@ -20,6 +20,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, CalibrationError
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.settings import RigConfig
 
 # Up to this many sensors every pair is calibrated.
@@ -71,7 +72,8 @@ class _Task:
         try:
             result = calibrate(self.a, self.b, replace(settings, allow_unobserved=True))
         except CalibrationError as error:
-            return PairAnswer(self.parent, self.child, failure=str(error),
+            return PairAnswer(self.parent, self.child,
+                              failure=in_rig_words(str(error), self.parent, self.child),
                               no_common_time=isinstance(error, AssociationError))
         if result.covariance is None:
             return PairAnswer(self.parent, self.child, failure='no covariance')

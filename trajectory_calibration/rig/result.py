@@ -162,6 +162,13 @@ class RigResult:
         return {name: sensor.unobserved for name, sensor in self.sensors.items()
                 if sensor.unobserved}
 
+    @property
+    def unplaced(self) -> tuple[str, ...]:
+        """Return the sensors that were asked for and have no pose in the base."""
+        asked = dict.fromkeys(
+            name for pair in self.pairs for name in (pair.parent, pair.child))
+        return tuple(name for name in asked if name not in self.trees.get(self.base, ()))
+
     def transform(self, parent: str, child: str) -> FloatArray:
         """Return (4, 4) the pose of one sensor in another; round every loop it is the identity.
 

@@ -43,7 +43,7 @@ from trajectory_calibration.rig.windows import (
 # Fewer lengths of windows than this tell no noise.
 _FEWEST_LEVELS = 3
 
-# Standard deviation, seconds, of a clock offset, which no result states.
+# Standard deviation, seconds, of a clock offset where a result states none.
 _CLOCK_STD_S = 1e-3
 
 # A log scale that is rounding of the one that was not looked for.
@@ -138,8 +138,13 @@ def build_tree(
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
             max_gap_ns)
         levels = levels_of(grid)
+    log_scale_stds = np.array([log_scale_std_of(pair.result) for pair in pairs])
     if len(levels) < _FEWEST_LEVELS:
-        return Tree(tuple(names), tuple(pairs), clocks, scales, np.zeros(sensors), answers,
+        stds = fuse_numbers(
+            sensors, ends, logs, np.diag(np.maximum(log_scale_stds, 0.1 * _ROUNDING)**2))[1]
+        stds = scales * np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
+        stds[stds < _ROUNDING] = 0.0
+        return Tree(tuple(names), tuple(pairs), clocks, scales, stds, answers,
                     guessed_covariance(stated, start, ends), start)
     squares, counts = pair_squares(levels)
     variances = sensor_variances(
@@ -148,11 +153,13 @@ def build_tree(
     M = joint_covariance(levels, noise, ends, free_scale)
     C = carried_to_stated(in_axes_of_parents(M[:, TWIST][:, :, :, TWIST], start, ends), stated)
     # The solvers state more or less than the windows have: clocks and scales follow them.
-    clocks = _clocks(sensors, pairs, M[:, CLOCK, :, CLOCK], epoch_ns)
+    clocks = _clocks(sensors, pairs, _raised(
+        M[:, CLOCK, :, CLOCK], np.array([offset_std_of(pair.result) for pair in pairs])), epoch_ns)
     # Where no scale was looked for, it is as known as the unit of the sensors.
     looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
-    logs_of, stds = fuse_numbers(
-        sensors, ends, logs, M[:, SCALE, :, SCALE] * np.outer(looked, looked))
+    logs_of, stds = fuse_numbers(sensors, ends, logs, _raised(
+        M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds))
+    stds = np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
     scales, stds = np.exp(logs_of), np.exp(logs_of) * stds
     unit = (np.abs(logs_of) < _ROUNDING) & (stds < _ROUNDING)
     scales[unit], stds[unit] = 1.0, 0.0
@@ -160,6 +167,36 @@ def build_tree(
     return Tree(
         tuple(names), tuple(pairs), clocks, scales, stds, answers, C, start, tuple(levels),
         noise, grid, tuple(white_and_drift(levels, variances, step_s)))
+
+
+def offset_std_of(result: CalibrationResult) -> float:
+    """Return the standard deviation of a result's clock offset, seconds; 0 where none is told."""
+    return float((result.diagnosis or {}).get('time_offset_deviation_s') or 0.0)
+
+
+def log_scale_std_of(result: CalibrationResult) -> float:
+    """Return that of the logarithm of a result's scale; 0 where none is told."""
+    diagnosis = result.diagnosis or {}
+    return float(diagnosis.get('scale_deviation') or 0.0) / float(diagnosis.get('scale') or 1.0)
+
+
+def _raised(V: FloatArray, stds: FloatArray) -> FloatArray:
+    """Return the (P, P) covariance with no deviation below the (P,) that the pairs state."""
+    own = np.sqrt(np.maximum(np.diagonal(V), 1e-24))
+    factor = np.maximum(1.0, stds / own)
+    return V * np.outer(factor, factor)
+
+
+def _of_base(sensors: int, pairs: Sequence[Pair], stds: FloatArray) -> FloatArray:
+    """Return the (S,) deviations that the pairs with the base state, 0 where none is.
+
+    The noise of the base is in every pair, so other pairs make a number no surer than this.
+    """
+    found = np.zeros(sensors)
+    for pair, std in zip(pairs, stds, strict=True):
+        if 0 in (pair.parent, pair.child):
+            found[pair.parent or pair.child] = std
+    return found
 
 
 def _stated(result: CalibrationResult) -> FloatArray:
@@ -205,6 +242,8 @@ def _clocks(
         result.time_offset_s + (result.clock_drift * (epoch_ns - result.clock_drift_from_ns) * 1e-9
                                 if result.clock_drift else 0.0)
         for result in results]), V)
+    stds = np.maximum(stds, _of_base(sensors, pairs, np.array(
+        [offset_std_of(result) for result in results])))
     drifts = fuse_numbers(
         sensors, ends, np.array([result.clock_drift for result in results]), V)[0]
     return tuple(
