@@ -77,6 +77,7 @@ def test_a_wrong_unit_is_not_taken_for_two_vehicles(solver, unit):
     assert calibrate(run.a, b).scale == pytest.approx(1 / unit, rel=0.05)
 
 
+@pytest.mark.statistical
 def test_two_vehicles_are_accused_of_no_mistaken_convention():
     for seed in range(4):
         a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b
@@ -115,6 +116,7 @@ def test_clocks_farther_apart_than_was_looked_for(solver, offset):
     assert found.time_offset_s == pytest.approx(-offset, abs=0.01)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('offset', [6.0, 8.0, 15.0])
 def test_clocks_too_far_apart_on_flat_ground(offset):
     """About one axis half of all turns have the right sign by chance."""

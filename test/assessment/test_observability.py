@@ -41,6 +41,7 @@ def calibrated(scenario, seed, **settings):
     return calibrate(run.a, run.b, CalibrationConfig(**settings)), run.T_a_b
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('noise', [SMALL, WALK, JUMPS], ids=['white', 'walk', 'jumps'])
 def test_flat_ground_is_flagged_in_every_seed(noise):
     scenario = with_noise(FLAT, noise, noise)
@@ -58,6 +59,7 @@ def test_flat_ground_is_flagged_whoever_solves(solver):
         assert 'z' in found.observability.unobserved
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize(('scenario', 'seeds', 'solver'), [
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 40, 'dnl'),
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 10, 'park'),

@@ -43,6 +43,7 @@ def medians(runs, solver):
     return auto, dict(zip(FIXED, fixed, strict=True))
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('solver', ['dnl', 'park', 'dnlo'])
 @pytest.mark.parametrize('case', [
     ('noise', 0.01), ('outliers', 10), ('drift', 0.05), ('mixture', None)])
@@ -55,6 +56,7 @@ def test_close_to_the_best_in_hindsight_on_published_runs(shared_data, solver, c
         assert auto < fixed['B1']
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize(('solver', 'case'), [
     ('park', 'noise'), ('dnl', 'outliers'), ('dnl', 'drift'), ('dnlo', 'mixture')])
 def test_close_to_the_best_in_hindsight(solver, case):

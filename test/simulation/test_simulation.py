@@ -205,6 +205,7 @@ def test_drift_is_recovered(published):
     assert axes == {0, 1, 2}
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize(('folder', 'scenario'), [
     ('noise/noise_0.010000', paper_scenario(white=0.01)),
     ('drift/drift_0.050000', paper_scenario(drift=0.05)),

@@ -59,6 +59,7 @@ def test_finds_any_drift_within_its_own_error_bar(name, seconds, drift):
     assert found.offset_s == pytest.approx(middle, abs=2e-3)
 
 
+@pytest.mark.statistical
 def test_the_error_bar_of_a_drift_is_honest():
     scores = []
     for seed in range(24):
