@@ -235,6 +235,8 @@ def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):
 @pytest.mark.parametrize(('text', 'wanted'), [
     ('Use --invert-a --invert-b', (
         'Use invert: true below A in RIG.yaml and invert: true below B in RIG.yaml')),
+    ('measure it, or, in the node, set allow_unobserved to publish. Next', 'measure it. Next'),
+    ('measure it, or set allow_unobserved', 'measure it'),
     ('or --no-input-checks', 'or input_checks: false in settings of RIG.yaml'),
     ('--quaternion-order-b wxyz?', 'quaternion_order: wxyz below B in RIG.yaml?'),
     ('--max-time-difference 0.1. Or --max-gap 2', (

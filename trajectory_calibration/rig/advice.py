@@ -10,8 +10,9 @@ _PRIOR = re.compile(r'--prior-(translation|rotation)=(\S+) --prior-\1-std=(\d+(?
 _OF_SENSOR = re.compile(r'--(invert|quaternion-order)(?:-([ab]))?(?: (wxyz|xyzw))?')
 _SETTING = re.compile(r'--(association|max-time-difference|max-gap) (\w[\w.+-]*\w|\w)')
 
+# What the node may do, and a rig does anyway.
+_PUBLISHED = re.compile(r', or(?:, in the node,)? set allow_unobserved[^.;]*')
 _WHOLE = {
-    ', or set allow_unobserved': '',
     '--invert-a --invert-b': '--invert-a and --invert-b',
     '--no-input-checks': 'input_checks: false in settings of RIG.yaml',
     '--time-unit': 'time_unit below the sensor in RIG.yaml',
@@ -27,6 +28,7 @@ def in_rig_words(text: str, parent: str, child: str) -> str:
         name = {'a': parent, 'b': child}.get(match[2], f'{parent} and {child}')
         return f'{_key(match[1])}: {match[3] or "true"} below {name} in RIG.yaml'
 
+    text = _PUBLISHED.sub('', text)
     for option, key in _WHOLE.items():
         text = text.replace(option, key)
     text = _PRIOR.sub(
