@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Save the answers of all solvers at all references, to compare two versions of the package.
 
-    python benchmarks/answers.py save before.json --data ../shared/data
-    python benchmarks/answers.py compare before.json after.json
+    python -m benchmarks.answers save before.json --data ../shared/data
+    python -m benchmarks.answers compare before.json after.json
 
 A refactoring changes none. The comparison prints each answer that differs: by how many metres and
 degrees, how much the deviations changed, and which directions have another status.

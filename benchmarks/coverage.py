@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Do the covariances hold? Errors against the truth over many simulated runs.
 
-    python benchmarks/coverage.py [--seeds 100] [--solvers dnl,dnlo,park] [--references B1,B5,B20]
+    python -m benchmarks.coverage [--seeds 100] [--solvers dnl,dnlo,park] [--references B1,B5,B20]
 
 For each kind of noise, solver and reference: the mean normalised squared error per degree of
 freedom (NEES / 6, one if the covariance is right, more if it is too small) and the share of the

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The three ways to a minimum of dnlo, side by side: cost, error against the truth, time.
 
-    python benchmarks/dnlo_methods.py --data ../shared/data
+    python -m benchmarks.dnlo_methods --data ../shared/data
 
 Prints two Markdown tables: both KITTI drives with c = 1e-4, and the published simulations with
 c = 0.01.

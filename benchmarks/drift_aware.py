@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The drift-aware solver against its targets.
 
-    python benchmarks/drift_aware.py --data ../shared/data [--seeds 40] [--sizes 2343,10000]
-    python benchmarks/drift_aware.py --only-published
-    python benchmarks/drift_aware.py --only-simulated [--seeds 40] [--first-seed 1000]
-    python benchmarks/drift_aware.py --only-times [--sizes 10000,1000000] [--noise white]
+    python -m benchmarks.drift_aware --data ../shared/data [--seeds 40] [--sizes 2343,10000]
+    python -m benchmarks.drift_aware --only-published
+    python -m benchmarks.drift_aware --only-simulated [--seeds 40] [--first-seed 1000]
+    python -m benchmarks.drift_aware --only-times [--sizes 10000,1000000] [--noise white]
 
 Prints Markdown tables: the published runs and drives; what the answers of a drive scatter by where
 a twentieth of b is left out, each in turn; simulated pairs that the published data do

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Is every direction that the motion did not show flagged, and no other?
 
-    python benchmarks/observability.py [--seeds 100] [--solvers drift_aware,dnl]
+    python -m benchmarks.observability [--seeds 100] [--solvers drift_aware,dnl]
 
 For drives on flat ground, exactly and nearly, under several kinds of noise: in how many seeds
 the height is called unobserved (a drive that is refused for it counts), or only weak. For drives

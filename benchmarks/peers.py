@@ -3,7 +3,7 @@
 """What other libraries make of the same motions: accuracy and time, side by side.
 
     pip install 'trajectory_calibration[benchmark,peers]'
-    python benchmarks/peers.py --data ../shared/data
+    python -m benchmarks.peers --data ../shared/data
 
 Prints Markdown tables: medians over the published runs (or, without --data, over simulated ones)
 of the hardest level of each class, and the published drive 2011_09_30. OpenCV's calibrateHandEye

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does ``reference: auto`` choose as well as hindsight would?
 
-    python benchmarks/reference_auto.py [--data DIR] [--seeds 40] [--solvers dnl,dnlo,park]
+    python -m benchmarks.reference_auto [--data DIR] [--seeds 40] [--solvers dnl,dnlo,park]
 
 For each class of noise at its hardest level, over the published runs (with ``--data``, the
 folder of the paper's data) and over simulated ones: the median error of the translation with

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """How long each solver takes, on the longer published drive and as the drive grows.
 
-    python benchmarks/speed.py --data ../shared/data
+    python -m benchmarks.speed --data ../shared/data
 
 Prints a Markdown table: median and range of ten solves on one thread, association and selection
 of motions not counted. The drive is 2011_10_03 at B5 (2,338 motions); the growing drives are

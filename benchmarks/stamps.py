@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What stamps that do not coincide, and clocks that drift, cost.
 
-    python benchmarks/stamps.py [--seeds 12]
+    python -m benchmarks.stamps [--seeds 12]
 
 Prints two Markdown tables, medians over the seeds with NEES / 6 (one where the covariance is
 right) as the mean: poses of b half-way between those of a, by the geodesic and by what the
