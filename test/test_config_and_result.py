@@ -22,6 +22,7 @@ from trajectory_calibration import (
 )
 from trajectory_calibration.config.settings import Option
 from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import counted, rounded
 
 
 @pytest.fixture(scope='module')
@@ -245,16 +246,16 @@ def test_a_place_that_cannot_be_written_is_named(result, tmp_path):
 @pytest.mark.parametrize('text, message', [
     ('', 'holds no calibration result'),
     ('a: [1, 2', 'cannot be read as a result'),
-    ('hello: world', 'KeyError'),
+    ('hello: world', 'format_version is missing'),
     ('!!python/object/apply:os.system ["true"]', 'cannot be read'),
     ('\0\1', 'cannot be read'),
-    ('a: 2023-13-45', 'cannot be read as a result: ValueError'),
-    ('a: !!int "abc"', 'cannot be read as a result: ValueError'),
-    ('a: !!int ""', 'cannot be read as a result: IndexError'),
-    ('a: !!bool x', 'cannot be read as a result: KeyError'),
-    ('"\\U99999999"', 'cannot be read as a result: OverflowError'),
-    (f'a: {"9" * 5000}', 'cannot be read as a result: ValueError|KeyError'),
-    ('[' * 5000, 'cannot be read as a result: RecursionError'),
+    ('a: 2023-13-45', 'cannot be read as a result: '),
+    ('a: !!int "abc"', 'cannot be read as a result: '),
+    ('a: !!int ""', 'cannot be read as a result: malformed value'),
+    ('a: !!bool x', 'cannot be read as a result: malformed value'),
+    ('"\\U99999999"', 'cannot be read as a result: '),
+    (f'a: {"9" * 5000}', 'cannot be read as a result: Exceeds the limit|is missing'),
+    ('[' * 5000, 'cannot be read as a result: it is nested too deeply'),
 ])
 def test_other_files_are_not_results(tmp_path, text, message):
     path = tmp_path / 'x.yaml'
@@ -375,3 +376,10 @@ def test_versions_agree(result):
     version = CalibrationResult.__dataclass_fields__['version'].default
     assert f'<version>{version}</version>' in (root / 'package.xml').read_text()
     assert result.to_dict()['package_version'] == version
+
+
+def test_numbers_and_nouns_in_messages():
+    assert [counted(1, 'pose'), counted(0, 'pose'), counted(1200, 'pose')] == [
+        '1 pose', '0 poses', '1,200 poses']
+    assert [rounded(1220.4), rounded(99.7), rounded(99.4), rounded(0.123), rounded(250, 3)] == [
+        '1,220', '100', '99', '0.12', '250']

@@ -76,3 +76,28 @@ def pip_name(error: ModuleNotFoundError) -> str:
     """
     name = str(error.name).partition('.')[0]
     return _SHARED.get(name, name)
+
+
+def in_words(error: Exception) -> str:
+    """Return what an error of Python says, without its number and the names of its classes."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    if isinstance(error, KeyError):
+        return f'{error.args[0]} is missing' if error.args else 'a key is missing'
+    if isinstance(error, UnicodeError):
+        return 'it is no text in UTF-8'
+    if isinstance(error, RecursionError):
+        return 'it is nested too deeply'
+    if isinstance(error, AttributeError | LookupError | TypeError):
+        return 'a value is of the wrong kind'
+    return str(error)
+
+
+def counted(count: int, noun: str) -> str:
+    """Return '1 pose' or '1,200 poses'."""
+    return f'{count:,} {noun}' if count == 1 else f'{count:,} {noun}s'
+
+
+def rounded(value: float, digits: int = 2) -> str:
+    """Return a number of so many digits, without an exponent where it is large: 0.12, 1,220."""
+    return f'{value:,.0f}' if abs(value) >= 10**digits - 0.5 else f'{value:.{digits}g}'

@@ -27,7 +27,7 @@ from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
-from trajectory_calibration.errors import CalibrationError, ResultError
+from trajectory_calibration.errors import CalibrationError, in_words, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.version import __version__
@@ -258,8 +258,8 @@ class CalibrationResult:
             if isinstance(error, CalibrationError):
                 raise ResultError(f'not a calibration result: {error}') from error
             raise ResultError(
-                f'not a calibration result: {type(error).__name__}: {error}; needed what '
-                'this package saved') from error
+                f'not a calibration result: {in_words(error)}; needed the result.yaml of a '
+                'calibration') from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML to ``path``, whole or not at all.
@@ -284,7 +284,8 @@ class CalibrationResult:
         """
         data = read_yaml(Path(path), 'a result', ResultError)
         if not isinstance(data, dict):
-            raise ResultError(f'{path} holds no calibration result; needed what save() wrote')
+            raise ResultError(f'{path} holds no calibration result; needed the result.yaml of a '
+                              'calibration')
         return cls.from_dict(data)
 
 
@@ -296,7 +297,8 @@ def _shown_by(module: str) -> Any:
 def _of_kind(kind: type[_T], value: Any) -> _T:
     # A bool is an int to Python, and no count to anybody else.
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise TypeError(f'found {value!r}, needed a value of type {kind.__name__}')
+        found = f'found {value!r}, needed a value of type {kind.__name__}'
+        raise ValueError(found)  # noqa: TRY004
     return value
 
 

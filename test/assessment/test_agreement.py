@@ -158,7 +158,7 @@ def test_a_slam_that_began_anew_is_said():
     run = simulate(DRIVE, 0)
     pairs = associate(*begun_anew(run))
     (warning,) = parted_steps(pairs)
-    assert warning.text.startswith('1 orientation jumps')
+    assert warning.text.startswith('1 orientation jump (')
     assert parted_steps(associate(run.a, run.b)) == ()
     a, b = begun_anew(run)
     assert warning in calibrate(a, b, CalibrationConfig(solver='dnl', reference='B5')).findings

@@ -291,9 +291,9 @@ def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
     ('max_gap: -1', 'max_gap is -1.0, needed 0 to 3600'),
     ('max_gap: [1]', 'needed a value of type float'),
     ('- 1', 'holds no settings; needed lines such as'),
-    ('a: [', 'cannot be read as settings'),
-    ('a: 2023-13-45', 'cannot be read as settings: ValueError'),
-    ('[' * 5000, 'cannot be read as settings: RecursionError'),
+    ('a: [', 'cannot be read as settings: while parsing a flow node'),
+    ('a: 2023-13-45', 'cannot be read as settings: '),
+    ('[' * 5000, 'cannot be read as settings: it is nested too deeply'),
 ])
 def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     settings = tmp_path / 'settings.yaml'
@@ -313,7 +313,8 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--max-gap', '-1'], 2, 'error: max_gap is -1.0, needed 0 to 3600'),
     (['{a}', '{b}', '--max-gap', 'nan'], 2, 'error: max_gap is nan, needed'),
     (['{a}', '{b}', '--reference', 'D4'], 2, "error: reference 'D4' is unknown"),
-    (['{a}', '{b}', '--config', '{a}.no'], 2, 'cannot be read as settings: [Errno 2]'),
+    (['{a}', '{b}', '--config', '{a}.no'], 2,
+     'cannot be read as settings: No such file or directory\n'),
     (['{a}', '{a}'], 2, 'error: {a} is given twice; two sensors are needed'),
     (['/x', '/y', '--bag', '{bag}', '--times-a', '{a}'], 2, 'error: times is for files; /x is'),
     (['{a}.no', '{b}'], 1, 'error: {a}.no cannot be read: No such file or directory'),
@@ -325,7 +326,7 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--times-b', '{a}'], 1, 'error: {b} carries its own times'),
     (['{a}', '{b}', '--ground-truth', '{a}'], 1, 'error: {a} holds 80 rows of 8 numbers'),
     (['{a}', '{b}', '--ground-truth', '{a}.no'], 1, 'error: {a}.no cannot be read'),
-    (['{a}', '{b}', '--reference', 'B79'], 1, 'error: reference B79 leaves 1 motions of 80 poses'),
+    (['{a}', '{b}', '--reference', 'B79'], 1, 'error: reference B79 leaves 1 motion of 80 poses'),
     (['{a}', '{b}', '--time-offset', '100'], 1, 'error: no overlap in time: '),
     (['/lidar/odom', '/nothing', '--bag', '{bag}'], 1,
      'no topic /nothing; topics that can serve: /camera/pose (PoseStamped, 80 messages), /lidar'),

@@ -168,7 +168,7 @@ def test_table_json_and_page_say_the_same(result):
 
 def test_answers_that_cannot_be_compared_are_refused(result):
     one = Entry('one', result)
-    with pytest.raises(ResultError, match='1 answers, needed at least 2'):
+    with pytest.raises(ResultError, match='1 answer, needed at least 2'):
         compare([one, Entry('two', None, 'no motion')])
     other = Entry('two', dataclasses.replace(result, frame_b='thermal'))
     with pytest.raises(ResultError, match='camera in lidar; thermal in lidar'):

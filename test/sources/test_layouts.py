@@ -230,8 +230,8 @@ def test_g2o_colmap_nerfstudio_and_numpy(tmp_path):
 
 
 @pytest.mark.parametrize(('name', 'content', 'message'), [
-    ('a.json', '{"frames": 3}', 'is no transforms.json'),
-    ('a.json', '{', 'is no transforms.json'),
+    ('a.json', '{"frames": 3}', 'is JSON, but no transforms.json'),
+    ('a.json', '{', 'is JSON, but no transforms.json'),
     ('a.g2o', 'VERTEX_SE2 0 1 2 3\n', 'holds no VERTEX_SE3:QUAT: poses in the plane cannot'),
     ('a.npy', 'x', 'cannot be read as an array of numbers'),
     ('images.txt', '# IMAGE_ID CAMERA_ID\n', 'holds no images of COLMAP'),

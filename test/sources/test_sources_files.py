@@ -11,7 +11,7 @@ import re
 import shlex
 
 from bag_writing import make_track
-from hypothesis import given, HealthCheck, settings
+from hypothesis import example, given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -175,6 +175,9 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'# only a comment\n\n', 'holds no poses'),
     (b'\x7fELF\x02\x00\x01', 'is not text: it holds a zero byte at 5'),
     (b'a,b,c\n', 'holds no poses'),
+    (b'<?xml version="1.0"?>\n<robot/>\n', 'is XML; needed a table of poses'),
+    (b'[{"x": 1}]\n', 'is JSON; needed a table of poses'),
+    (b'{"x": 1}\n', r'is JSON, but no transforms.json with .* \(frames is missing\)'),
     (b'1 2 3\n', '3 columns without a heading .*: positions without an orientation'),
     (b'1.5,1,2,3,1,0,0,0\n', '8 columns .* separated by commas: .*--quaternion-order'),
     (b'1 2 3 4 0 0 0 1\n', '1 of 1 rows give a pose, needed at least 2; record'),
@@ -291,6 +294,7 @@ def test_any_bytes_give_a_named_error(tmp_path, content, file_format):
 @settings(max_examples=100, deadline=None,
           suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**31), st.integers(1, 4))
+@example(2795, 2)
 def test_flipped_bytes_give_a_trajectory_or_a_named_error(tmp_path, seed, flips):
     path = tmp_path / 'a.txt'
     data = bytearray('\n'.join(_tum_rows(*make_track(5))).encode())

@@ -224,6 +224,13 @@ def test_too_few_pairs_say_where_the_others_went(method):
         associate(a, b, method=method, max_difference_ns=MS)
 
 
+def test_two_poses_are_too_few_whatever_the_settings():
+    two, many = still(stamps(2)), still(stamps(30))
+    for a, b in ((two, many), (many, two)):
+        with pytest.raises(AssociationError, match=r'only 2 poses of .*, needed at least 3'):
+            associate(a, b)
+
+
 def test_gaps_are_a_warning_in_the_result():
     rng = np.random.default_rng(6)
     a, b = sensor_pair(rng, random_pose(rng))

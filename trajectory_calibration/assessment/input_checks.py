@@ -33,7 +33,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import AssociationError, MotionError
+from trajectory_calibration.errors import AssociationError, counted, MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.align import match
@@ -145,8 +145,8 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
     k = int(found[apart[found].argmax()])
     since_s = (pairs.stamps_ns[k] - pairs.stamps_ns[0]) * 1e-9
     warning = Finding(
-        'orientation-jumps', f'{len(found)} orientation jumps (largest '
-        f'{np.rad2deg(apart[k]):.2g} deg at {since_s:.1f} s): SLAM restart or loop closure? '
+        'orientation-jumps', f'{counted(len(found), "orientation jump")} (largest '
+        f'{rounded(np.rad2deg(apart[k]))} deg at {since_s:.1f} s): SLAM restart or loop closure? '
         'Use drift_aware, which excludes such steps, or calibrate the parts separately',
         {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))})
     return (warning,)
@@ -287,16 +287,16 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     if not together:
         raise MotionError(
             f'{frames} did not turn together: over {turned.lag} poses they turn by '
-            f'{np.rad2deg(turned.turned):.2g} deg and apart by '
-            f'{np.rad2deg(turned.turned_apart):.2g} deg. {advice}')
+            f'{rounded(np.rad2deg(turned.turned))} deg and apart by '
+            f'{rounded(np.rad2deg(turned.turned_apart))} deg. {advice}')
     moved = growth(found, 'way_apart')
     if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
         apart = max(found, key=lambda item: item.way_apart)
         raise MotionError(
             f'{frames} turned together, but their positions do not fit one vehicle: over '
-            f'{apart.lag} poses they move apart by {apart.way_apart:.2g} m, {moved:.1f} times '
-            'what errors of single poses and steps make likely. Check the axes and the units of '
-            'both, or set input_checks to false')
+            f'{apart.lag} poses they move apart by {rounded(apart.way_apart)} m, {moved:.1f} '
+            'times what errors of single poses and steps make likely. Check the axes and the '
+            'units of both, or set input_checks to false')
 
 
 def _steady(

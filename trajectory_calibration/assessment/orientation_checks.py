@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.errors import MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -49,9 +49,9 @@ def require_orientation(trajectory: Trajectory) -> None:
     # The trace tells a turn by t to within t^2 / 2, and rounding of 1e-16 is a turn of 1e-8.
     if 3.0 - float(np.trace(turned, axis1=1, axis2=2).min()) < _DIGITS**2:
         raise MotionError(
-            f'{name}: the orientation never changes over {way.sum():.3g} m of way: positions '
-            'alone (GNSS without an INS?) cannot be calibrated. Give poses whose orientation is '
-            'measured')
+            f'{name}: the orientation never changes over {rounded(way.sum(), 3)} m of way: '
+            'positions alone (GNSS without an INS?) cannot be calibrated. Give poses whose '
+            'orientation is measured')
     if _is_course(trajectory):
         raise MotionError(
             f'{name}: the orientation is the course over ground, computed from the positions, '

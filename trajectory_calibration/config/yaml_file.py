@@ -13,7 +13,7 @@ import re
 from secrets import token_hex
 from typing import Any
 
-from trajectory_calibration.errors import CalibrationError, ResultError
+from trajectory_calibration.errors import CalibrationError, in_words, ResultError
 
 # What the YAML library lets through besides its own errors: dates that no calendar has,
 # "!!int abc", "!!int ''", "!!bool x", numbers of more digits than Python converts, brackets
@@ -37,7 +37,7 @@ def read_yaml(path: Path, what: str, error: type[CalibrationError]) -> Any:
     try:
         text = path.read_text(encoding='utf-8')
     except (OSError, ValueError) as cause:
-        raise error(f'{path} cannot be read as {what}: {cause}') from cause
+        raise error(f'{path} cannot be read as {what}: {in_words(cause)}') from cause
     return parse_yaml(text, f'{path} cannot be read as {what}', error)
 
 
@@ -49,9 +49,13 @@ def parse_yaml(text: str, failure: str, error: type[CalibrationError]) -> Any:
     try:
         return YAML(typ='safe', pure=True).load(text)
     except YAMLError as cause:
-        raise error(f'{failure}: {cause}') from cause
+        # The library calls a text that it did not read from a file by a name of its own.
+        reason = str(cause).replace('in "<unicode string>", ', 'in ')
+        raise error(f'{failure}: {reason}') from cause
     except _MALFORMED as cause:
-        raise error(f'{failure}: {type(cause).__name__}: {cause}') from cause
+        # What it looks up are the values: nothing is missing.
+        reason = 'malformed value' if isinstance(cause, LookupError) else in_words(cause)
+        raise error(f'{failure}: {reason}') from cause
 
 
 def to_yaml(data: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.errors import ConfigError, MotionError
+from trajectory_calibration.errors import ConfigError, counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -129,8 +129,8 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
         i = j - j % n
     if len(j) < 2:
         raise MotionError(
-            f'reference {reference} leaves {len(j)} motions of {poses} poses, needed at least 2; '
-            'use a smaller n or record longer')
+            f'reference {reference} leaves {counted(len(j), "motion")} of {poses} poses, needed '
+            'at least 2; use a smaller n or record longer')
     return i, j
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration.errors import ResultError
+from trajectory_calibration.errors import counted, ResultError
 from trajectory_calibration.fleet.differences import (
     describe_step,
     Difference,
@@ -212,7 +212,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         else float('inf')))
     answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
     if len(answers) < 2:
-        raise ResultError(f'{len(answers)} answers, needed at least 2 to compare')
+        raise ResultError(f'{counted(len(answers), "answer")}, needed at least 2 to compare')
     frames = {(result.frame_a, result.frame_b) for _, result in answers}
     if len(frames) > 1:
         pairs = '; '.join(f'{b} in {a}' for a, b in sorted(frames))

@@ -14,7 +14,7 @@ import numpy as np
 
 from trajectory_calibration.config.yaml_file import parse_yaml
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
-from trajectory_calibration.errors import ConfigError, SourceError
+from trajectory_calibration.errors import ConfigError, in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.frame_tree import FrameTree
@@ -274,7 +274,7 @@ def _from_mapping(
             return _from_autoware(data, file, key, frame_a, frame_b)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise SourceError(
-                f'{file} holds no transform ({type(error).__name__}: {error}); needed {FORMS}'
+                f'{file} holds no transform ({in_words(error)}); needed {FORMS}'
             ) from error
     raise SourceError(f'{file} holds no transform; needed {FORMS}')
 

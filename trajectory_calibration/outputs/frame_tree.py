@@ -10,7 +10,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -46,7 +46,7 @@ class FrameTree:
         try:
             text = path.read_text(encoding='utf-8')
         except (OSError, ValueError) as error:
-            raise SourceError(f'{path} cannot be read as URDF: {error}') from error
+            raise SourceError(f'{path} cannot be read as URDF: {in_words(error)}') from error
         return cls.parse(text, path)
 
     @classmethod

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.plausibility import lost_as_identity
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
-from trajectory_calibration.errors import ConfigError, SourceError, TrajectoryError
+from trajectory_calibration.errors import ConfigError, counted, SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import structured
@@ -143,12 +143,12 @@ class FileSource:
         layout = self._layout(table)
         if table.width <= max(layout.pose_columns):
             raise SourceError(
-                f'{self.path}: {table.width} columns, {layout.source} needs at least '
+                f'{self.path}: {counted(table.width, "column")}, {layout.source} needs at least '
                 f'{max(layout.pose_columns) + 1}')
         columns = layout.pose_columns
         findings: list[Finding] = []
         raw = RawPoses(
-            np.zeros((0, 7)), findings=findings, kind=f'{table.width} columns')
+            np.zeros((0, 7)), findings=findings, kind=counted(table.width, 'column'))
         if layout.time is None:
             values = table.read_numbers(columns).values
             finite = np.ones(len(values), dtype=bool)

@@ -15,7 +15,7 @@ import re
 
 import numpy as np
 
-from trajectory_calibration.errors import ConfigError, SourceError
+from trajectory_calibration.errors import ConfigError, counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 
 QUATERNION_ORDERS = ('xyzw', 'wxyz')
@@ -165,7 +165,7 @@ def from_numbers(
 
     """
     width = sample.shape[1]
-    seen = f'{width} columns without a heading that names them'
+    seen = f'{counted(width, "column")} without a heading that names them'
     fitting = [layout for layout in _candidates(width, timed=timed) if _fits(layout, sample)]
     # Times from another file stand for those in this one, and the other way round.
     fitting = [layout for layout in fitting if (layout.time is None) == timed] or fitting

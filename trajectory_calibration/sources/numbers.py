@@ -11,7 +11,7 @@ are left to ``float`` itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
@@ -192,7 +192,8 @@ class Fields:
         word = self.word(row, column)
         try:
             stamp_ns = round(Decimal(word).scaleb(exponent))
-        except (InvalidOperation, ValueError, OverflowError):
+        except (ArithmeticError, ValueError):
+            # Also of an exponent that no decimal has.
             self._float(row, column)
             return 0
         if abs(stamp_ns) > _INT64_MAX:

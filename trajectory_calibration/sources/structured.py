@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.numbers import Numbers
@@ -163,8 +163,9 @@ def read_nerfstudio(path: Path, data: bytes) -> RawPoses:
         poses = np.array([_square(frame['transform_matrix']) for frame in frames], dtype=float)
         names = [str(frame.get('file_path', '')) for frame in frames]
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise SourceError(f'{path} is no transforms.json with "frames" that have a '
-                          f'"transform_matrix" each ({type(error).__name__}: {error})') from error
+        what = 'is JSON, but no' if data.lstrip().startswith(b'{') else 'is no'
+        raise SourceError(f'{path} {what} transforms.json with "frames" that have a '
+                          f'"transform_matrix" each ({in_words(error)})') from error
     if poses.shape[1:] != (4, 4):
         raise SourceError(f'{path} holds no 4 x 4 matrices')
     return _by_name(poses, names, path)

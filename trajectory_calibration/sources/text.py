@@ -10,7 +10,7 @@ import re
 
 import numpy as np
 
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.numbers import Fields, NotANumberError, Numbers
 
@@ -19,6 +19,8 @@ BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.zstd', '.zst')
 _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 _LFS = b'version https://git-lfs.github.com/spec/'
 _COMMENTS = (b'#', b'%', b'//')
+# How XML and JSON begin.
+_FOREIGN = re.compile(rb'\s*(<|\[?\s*\{)')
 _UNTIL_TOO_LONG = 60
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
@@ -62,6 +64,10 @@ class Table:
     @classmethod
     def parse(cls, path: Path, data: bytes, notes: list[str] | None = None) -> Table:
         """Make a table of the text of a file; see ``read``."""
+        foreign = _FOREIGN.match(data)
+        if foreign is not None:
+            kind = 'XML' if foreign[1] == b'<' else 'JSON'
+            raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
         headings, start, first_line = _headings(data)
         body = data[start:]
         numbers = None
@@ -159,8 +165,8 @@ class Table:
         number = (self._first_line + row if self._line_numbers is None
                   else self._line_numbers[row])
         raise SourceError(
-            f'{self.path}, line {number}: {found[row]} columns, the other lines have {usual}; '
-            f'found {shown(lines[row].strip())}')
+            f'{self.path}, line {number}: {counted(found[row], "column")}, the other lines '
+            f'have {usual}; found {shown(lines[row].strip())}')
 
 
 def is_bag(path: Path) -> bool:

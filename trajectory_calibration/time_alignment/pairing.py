@@ -17,7 +17,7 @@ from trajectory_calibration.data.pose_pairs import (
     PosePairs,
 )
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import AssociationError, ConfigError
+from trajectory_calibration.errors import AssociationError, ConfigError, counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.interpolation import interpolate, left_of
 
@@ -213,11 +213,16 @@ def _require_overlap(
 def _require_pairs(
     summary: AssociationSummary, a: Trajectory, b: Trajectory, why: str,
 ) -> None:
+    fewest = min(a, b, key=len)
+    if len(fewest) < MIN_PAIRS:
+        raise AssociationError(
+            f'only {counted(len(fewest), "pose")} of {fewest.sensor_frame}, needed at least '
+            f'{MIN_PAIRS}; record longer, or give the whole file')
     if summary.pairs < MIN_PAIRS:
         raise AssociationError(
-            f'only {summary.pairs} pairs of poses from {summary.poses_a} and {summary.poses_b}, '
-            f'needed at least {MIN_PAIRS}: {summary.outside} poses of {b.sensor_frame} lie '
-            f'outside the time of {a.sensor_frame}, {why}')
+            f'only {counted(summary.pairs, "pair")} of poses from {summary.poses_a} and '
+            f'{summary.poses_b}, needed at least {MIN_PAIRS}: poses of {b.sensor_frame} outside '
+            f'the time of {a.sensor_frame}: {summary.outside}; {why}')
 
 
 def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.assessment.observability import UNOBSERVED
+from trajectory_calibration.errors import counted
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
 from trajectory_calibration.outputs.report.sensors import sensor_view
@@ -35,7 +36,7 @@ def _tracks(data: ReportData) -> str:
     a, b = result.frame_a, result.frame_b
     dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'
     key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', dots), ('gap', 'gap'))
-    jumps = f'{len(tracks.jumps)} jumps' if len(tracks.jumps) else 'no jumps'
+    jumps = counted(len(tracks.jumps), 'jump') if len(tracks.jumps) else 'no jumps'
     reading = (f'The tracks are {metres(usual)} apart in the median and {metres(largest)} at '
                f'most{share}; {jumps}.')
     angle = float(np.quantile(tracks.angle_deg, 0.5))
@@ -215,8 +216,8 @@ def _clocks(data: ReportData) -> str:
     gaps = len(clocks.spans_a) + len(clocks.spans_b) - 2
     figures += figure(
         'Times with poses', draw.gap_strip(clocks),
-        f'{gaps} gaps; {result.poses} pose pairs of {result.association.poses_a} poses of a and '
-        f'{result.association.poses_b} of b.',
+        f'{counted(gaps, "gap")}; {result.poses} pose pairs of {result.association.poses_a} '
+        f'poses of a and {result.association.poses_b} of b.',
         'two full bars of equal length', 'bars that overlap little, or are full of holes')
     if len(data.scale.seconds):
         spread = float(np.ptp(data.scale.ratio))
