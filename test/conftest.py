@@ -22,3 +22,9 @@ def shared_data():
     if not (_DATA / 'README.md').exists():
         pytest.skip(f'the published data is not beside the project: no {_DATA}')
     return _DATA
+
+
+@pytest.fixture(autouse=True)
+def _no_width_of_a_terminal(monkeypatch):
+    """Take away the width that a shell, or a process of a parallel run, has set."""
+    monkeypatch.delenv('COLUMNS', raising=False)
