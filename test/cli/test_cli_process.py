@@ -229,7 +229,8 @@ def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
     a, b, _ = write_pair(tmp_path)
     arguments = {'calibrate': [a, b, '--solver', 'taylor', '--reference', 'B5'],
                  'inspect': [a],
-                 'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise']}[command]
+                 'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise',
+                              '--force']}[command]
     monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)

@@ -40,7 +40,7 @@ from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import Clock
 
 # Another reading of the numbers is the explanation where it leaves this share of the misfit.
-_MUCH_LESS = 0.5
+_MUCH_LESS = 0.2
 # With less than this share of the misfit of two bodies, no other reading is looked for. With more
 # it may be one: a vehicle that hardly rolls and pitches looks much the same in all of them.
 _LITTLE_LEFT = 0.2
