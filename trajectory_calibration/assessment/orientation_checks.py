@@ -35,6 +35,8 @@ _HALF_SPAN = 2
 _FOLLOWED_S = 0.2
 _MOTIONS = 400
 _ROUNDS = 4
+# Metres that are rounding.
+_ROUNDING = 1e-12
 # Share of the steps that may be jumps.
 _JUMPS = 0.02
 
@@ -158,6 +160,6 @@ def _least_step(here: FloatArray, there: FloatArray) -> float:
         point = -np.linalg.pinv(H, rcond=1e-12, hermitian=True) @ np.einsum(
             'kij,ki->j', weighted, step)
         left = np.sum((step + turn @ point)**2, axis=1)
-        weights = 1 / (left + left.mean() + np.finfo(float).tiny)
+        weights = 1 / (left + left.mean() + _ROUNDING**2)
     # Jumps are no way that it went.
     return float(np.sqrt(np.mean(np.sort(left)[:-max(1, round(_JUMPS * len(left)))])))
