@@ -25,13 +25,7 @@ def unit_of(k: int) -> str:
 
 def distance_over_time(data: ReportData) -> str:
     """Draw the distance between the tracks, with jumps."""
-    tracks = data.tracks
-    high = max(float(tracks.distance_m.max()), 1e-6) * 1.08
-    plot = Plot((0.0, float(tracks.seconds[-1])), (0.0, high), name='distance between the tracks',
-                x_label='time, s', y_label='m')
-    plot.line(tracks.seconds, tracks.distance_m, 'line-a')
-    _mark_jumps(plot, data, high)
-    return plot.svg()
+    return _apart_over_time(data, data.tracks.distance_m, 'distance between the tracks', 'm')
 
 
 def distance_over_path(data: ReportData) -> str:
@@ -48,11 +42,14 @@ def distance_over_path(data: ReportData) -> str:
 
 def angle_over_time(data: ReportData) -> str:
     """Draw the difference of orientation between the tracks, with jumps."""
-    tracks = data.tracks
-    high = max(float(tracks.angle_deg.max()), 1e-6) * 1.08
-    plot = Plot((0.0, float(tracks.seconds[-1])), (0.0, high), name='difference of orientation',
-                x_label='time, s', y_label='deg')
-    plot.line(tracks.seconds, tracks.angle_deg, 'line-a')
+    return _apart_over_time(data, data.tracks.angle_deg, 'difference of orientation', 'deg')
+
+
+def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> str:
+    seconds = data.tracks.seconds
+    high = max(float(apart.max()), 1e-6) * 1.08
+    plot = Plot((0.0, float(seconds[-1])), (0.0, high), name=name, x_label='time, s', y_label=unit)
+    plot.line(seconds, apart, 'line-a')
     _mark_jumps(plot, data, high)
     return plot.svg()
 
