@@ -172,7 +172,7 @@ def test_standing_still_is_refused(name):
 def test_fewer_than_two_motions_are_refused(name):
     rng = np.random.default_rng(5)
     a, b = sensor_pair(rng, CAMERA, poses=5)
-    with pytest.raises(MotionError, match='leaves 1 motions of 5 poses, needed at least 2'):
+    with pytest.raises(MotionError, match='leaves 1 motion of 5 poses, needed at least 2'):
         calibrate(a, b, CalibrationConfig(solver=name, reference='B4'))
 
 
