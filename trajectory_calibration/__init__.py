@@ -7,6 +7,8 @@ each of them thinks it went. Only NumPy is imported here; CasADi, SciPy and ROS 
 are used.
 """
 
+from typing import Any, TYPE_CHECKING
+
 from trajectory_calibration.assessment.metrics import AbsoluteErrors, RelativeErrors
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
@@ -23,8 +25,10 @@ from trajectory_calibration.errors import (
 )
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.rig.calibration import calibrate_rig
 from trajectory_calibration.version import __version__
+
+if TYPE_CHECKING:
+    from trajectory_calibration.rig.calibration import calibrate_rig
 
 __all__ = [
     'AbsoluteErrors',
@@ -45,3 +49,11 @@ __all__ = [
     'calibrate',
     'calibrate_rig',
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # Two sensors need nothing of a rig, and its modules take a tenth of a second to import.
+    if name == 'calibrate_rig':
+        from trajectory_calibration.rig.calibration import calibrate_rig
+        return calibrate_rig
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

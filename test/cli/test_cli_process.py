@@ -157,6 +157,24 @@ def test_start_loads_nothing_heavy():
     assert done.stdout == f'trajectory_calibration {__version__}\n[]\n'
 
 
+def test_an_answer_loads_nothing_that_it_does_not_need(tmp_path):
+    """Each of these takes as long to import as a calibration of 1,000 poses."""
+    a, b, _ = write_pair(tmp_path)
+    code = (
+        'import sys\n'
+        'from trajectory_calibration.cli.main import main\n'
+        'main(sys.argv[1:])\n'
+        'slow = {"scipy", "casadi", "rosbags", "ruamel.yaml", "importlib.metadata",\n'
+        '        "urllib.request", "multiprocessing", "xml.etree.ElementTree", "secrets",\n'
+        '        "decimal", "trajectory_calibration.rig.calibration",\n'
+        '        "trajectory_calibration.cli.fleet"}\n'
+        'print(sorted(slow & set(sys.modules)), file=sys.stderr)\n')
+    done = subprocess.run([sys.executable, '-c', code, 'calibrate', a, b],
+                          capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.startswith('Pose of sensor_b in sensor_a')
+    assert done.stderr == '[]\n'
+
+
 @pytest.mark.parametrize('module', ['rosbags', 'apsw', 'scipy', 'casadi', 'ruamel', 'ruamel.yaml'])
 def test_files_and_bags_are_read_and_calibrated_with_numpy_alone(tmp_path, module):
     a, b, _ = write_pair(tmp_path)

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 import sys
 
@@ -25,7 +24,6 @@ from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_y
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
-from trajectory_calibration.outputs.exports import write_exports
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.pipeline import calibrate
@@ -115,6 +113,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
         if result.frame_a != result.frame_b:
+            from trajectory_calibration.outputs.exports import write_exports
             write_exports(result, folder)
     except OSError as error:
         raise ResultError(
@@ -135,6 +134,7 @@ def _print(
     written: list[Path],
 ) -> None:
     if arguments.format == 'json':
+        import json
         print(json.dumps(result.to_dict(truth)))
     elif arguments.format == 'yaml':
         print(to_yaml(result.to_dict(truth)), end='')

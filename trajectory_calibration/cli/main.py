@@ -8,23 +8,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from importlib import import_module
 import io
 import os
 import sys
 
-from trajectory_calibration.cli import (
-    calibrate,
-    compare,
-    exit_status,
-    export,
-    fleet,
-    inspect,
-    replay,
-    report,
-    rig,
-    simulate,
-    verify,
-)
+from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, missing_package
@@ -33,7 +22,8 @@ from trajectory_calibration.version import __version__
 # A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
 # parsed arguments that returns the exit status.
 _COMMANDS = (
-    calibrate, report, inspect, export, verify, compare, rig, fleet, simulate, replay)
+    'calibrate', 'report', 'inspect', 'export', 'verify', 'compare', 'rig', 'fleet', 'simulate',
+    'replay')
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,7 +74,7 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 
 
 def _run(argv: Sequence[str]) -> int:
-    parser = _parser()
+    parser = _parser(argv)
     if '_ARGCOMPLETE' in os.environ:
         _complete(parser)
     try:
@@ -114,13 +104,21 @@ def _discard_output() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _parser() -> argparse.ArgumentParser:
+def _commands(argv: Sequence[str]) -> tuple[str, ...]:
+    """Return the command that was given; all of them for help, completion and wrong usage.
+
+    Importing the others takes as long as a calibration.
+    """
+    return (argv[0],) if argv and argv[0] in _COMMANDS else _COMMANDS
+
+
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='trajectory_calibration',
         description='Estimate the extrinsic transform between two sensors from their trajectories '
         'alone.')
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
-    for command in _COMMANDS:
-        command.add_parser(subparsers)
+    for command in _commands(argv):
+        import_module(f'trajectory_calibration.cli.{command}').add_parser(subparsers)
     return parser

@@ -10,7 +10,6 @@ import math
 import os
 from pathlib import Path
 import re
-from secrets import token_hex
 from typing import Any
 
 from trajectory_calibration.errors import CalibrationError, in_words, ResultError
@@ -131,7 +130,7 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
     """
     created = False
     try:
-        temporary = path.with_name(f'.{path.name}.{token_hex(8) if overwrite else "new"}')
+        temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
         # Not through ``tempfile``, whose files are private: the kernel gives this one the
         # permissions of any new file of this user.
         with temporary.open('x', encoding='utf-8') as stream:

@@ -6,13 +6,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+
+if TYPE_CHECKING:
+    import xml.etree.ElementTree as ET
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +55,8 @@ class FrameTree:
     @classmethod
     def parse(cls, text: str, path: Path) -> FrameTree:
         """Read the text of a URDF; ``path`` is for messages."""
+        # Of those who read an extrinsic few have it in XML.
+        import xml.etree.ElementTree as ET
         if text.lstrip().startswith('<?xml'):
             text = text.partition('?>')[2]
         try:

@@ -11,7 +11,6 @@ are left to ``float`` itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
@@ -189,6 +188,7 @@ class Fields:
         raise NotANumberError(row, column, 'is no number')
 
     def _time(self, row: int, column: int, exponent: int) -> int:
+        from decimal import Decimal
         word = self.word(row, column)
         try:
             stamp_ns = round(Decimal(word).scaleb(exponent))

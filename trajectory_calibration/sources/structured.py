@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-import json
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +157,7 @@ def read_nerfstudio(path: Path, data: bytes) -> RawPoses:
 
     Its camera looks along -z with y up.
     """
+    import json
     try:
         frames = json.loads(data)['frames']
         poses = np.array([_square(frame['transform_matrix']) for frame in frames], dtype=float)
