@@ -173,6 +173,8 @@ class CalibrationResult:
                 'rotation_xyzw': se3.rotation_to_quaternion(self.T_a_b[:3, :3]).tolist(),
                 'translation_m': self.T_a_b[:3, 3].tolist(),
                 'rotation_rpy_deg': rpy_deg.tolist(),
+                # Beside the numbers: where it is 'unobserved', they are arbitrary.
+                'status': dict(self.observability.status),
             },
             'std_m': None if std is None else std[:3].tolist(),
             'std_deg': None if std is None else np.rad2deg(std[3:]).tolist(),

@@ -129,6 +129,28 @@ def test_an_unobserved_direction_is_flagged_in_every_format(capsys, tmp_path):
             assert 'unobserved' in Path(tmp_path, exporter.file_name).read_text().lower()
 
 
+def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys, tmp_path):
+    a, b, _ = write_pair(tmp_path, planar=True)
+    folder = tmp_path / 'out'
+    status, _, err = run(capsys, 'calibrate', a, b, '--output', folder, '--solver', 'ali')
+    assert status == 3
+    assert [path.name for path in folder.iterdir()] == ['result.yaml']
+    assert err == (f'no exports: z unknown; export {folder}/result.yaml --allow-unobserved '
+                   'writes them\n')
+    assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
+        'z'] == 'unobserved'
+    for name in EXPORTS:
+        export = 'export', folder / 'result.yaml', '--as', name, '--output', tmp_path / 'x'
+        status, out, err = run(capsys, *export, '--force')
+        assert (status, out) == (3, '')
+        assert err.startswith('error: not exported: z of sensor_b in sensor_a unobservable. ')
+        assert not (tmp_path / 'x').exists()
+    status, out, err = run(
+        capsys, 'export', folder / 'result.yaml', '--as', 'urdf', '--allow-unobserved')
+    assert status == 3
+    assert out.startswith('<!-- UNOBSERVED: z of sensor_b in sensor_a.')
+
+
 def test_a_ground_truth_that_is_inverted_is_said(capsys, tmp_path):
     a, b, truth = write_pair(tmp_path)
     T = read_extrinsic(truth).T_a_b

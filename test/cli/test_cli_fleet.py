@@ -98,6 +98,25 @@ def test_compare_says_the_same_of_the_results(done, capsys, tmp_path):
     assert run(capsys, 'compare', results[0])[0] == 2
 
 
+def test_what_another_run_left_is_overwritten_with_force_only(drives, tmp_path, capsys):
+    shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'drive0')
+    shutil.copytree(drives / 'drive1', tmp_path / 'in' / 'drive1')
+    fleet = 'fleet', f'{tmp_path}/in/*', *FAST, '--output', tmp_path / 'out'
+    assert run(capsys, *fleet)[0] == 0
+    # The same command goes on, also with one recording more.
+    shutil.copytree(drives / 'drive2', tmp_path / 'in' / 'drive2')
+    assert run(capsys, *fleet)[0] == 0
+    before = {path: path.read_bytes() for path in (tmp_path / 'out').rglob('*.*')}
+    status, out, err = run(capsys, *fleet, '--reference', 'B7')
+    assert (status, out) == (2, '')
+    assert 'table.csv and 5 more exists; give --force' in err
+    assert {path: path.read_bytes() for path in (tmp_path / 'out').rglob('*.*')} == before
+    assert run(capsys, *fleet, '--reference', 'B7', '--force')[0] == 0
+    # And tables that no fleet wrote.
+    shutil.rmtree(tmp_path / 'out' / 'results')
+    assert run(capsys, *fleet)[0] == 2
+
+
 def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
     shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'drive0')
     folder = tmp_path / 'results'

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The answer of a call, and a saved result that must fit the vehicle."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 
@@ -36,6 +37,16 @@ def test_the_last_line_is_json_and_each_other_one_thing(result):
     found = json.loads(machine)
     assert np.allclose(found['translation_m'], T_A_B[:3, 3], atol=1e-9)
     assert set(found['status'].values()) == {'observed'}
+
+
+def test_what_is_unknown_is_no_number(result):
+    def opened(name):
+        status = {**result.observability.status, name: 'unobserved'}
+        return replace(result, observability=replace(result.observability, status=status))
+    x, y, z = T_A_B[:3, 3]
+    assert f'translation [{x:.4f}, {y:.4f}, unknown] m, rotation xyzw [0' in headline(opened('z'))
+    assert headline(opened('rotation x')).endswith(f'{", ".join(["unknown"] * 4)}]')
+    assert f'{z:.4f}] m' in headline(opened('rotation x'))
 
 
 @pytest.mark.parametrize('frames, expected', [

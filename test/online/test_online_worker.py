@@ -80,7 +80,7 @@ def test_a_named_error_arrives_as_it_was_raised():
     waiting.solver.start(job(poses=1), 60.0)
     outcome = waiting.outcome()
     assert isinstance(outcome, TrajectoryError)
-    assert 'lidar: 1 poses received' in str(outcome)
+    assert 'lidar: 1 pose received' in str(outcome)
 
 
 def test_a_process_that_dies_is_an_error(capfd):

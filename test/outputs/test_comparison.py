@@ -18,6 +18,7 @@ from trajectory_calibration.fleet.comparison import COLUMNS, compare, Entry, sho
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
 from trajectory_calibration.outputs.fleet_page import fleet_page
+from trajectory_calibration.outputs.screen import format_result
 
 DAY_NS = 86_400 * 10**9
 MOVED = np.array([0.08, 0, 0, 0, 0, np.deg2rad(1.5)])
@@ -90,6 +91,21 @@ def test_two_vehicles_in_turn_have_no_mean(result):
     assert 'CONTRADICTION' in fleet_page(found)
 
 
+def test_a_row_of_the_table_reads_as_the_screen_of_its_result(result):
+    # Roll, pitch and yaw of an optical frame turn about other axes than x, y, z of the parent.
+    R = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]) @ result.T_a_b[:3, :3].T
+    turned = dataclasses.replace(result, T_a_b=se3.from_rotation_translation(
+        R @ result.T_a_b[:3, :3], result.T_a_b[:3, 3]))
+    P = np.diag([4e-6, 4e-6, 1e-5, 1e-6, 9e-6, 8e-5])
+    entries = fleet(turned, 2, covariance=P)
+    table = to_text(compare(entries)).splitlines()
+    for entry in entries:
+        (row,) = [line for line in table if line.startswith(entry.name)]
+        screen = [line.split() for line in format_result(entry.result).splitlines()[1:7]]
+        assert ' '.join(row.split()[3:21]) == ' '.join(
+            ' '.join(words[1:4]) for words in screen)
+
+
 def test_errors_a_little_larger_than_stated_are_no_change(result):
     alarms = 0
     for seed in range(20):
@@ -108,6 +124,9 @@ def test_what_no_answer_knows_is_left_out(result):
     assert found.exit_status == 0
     assert 'unknown' in to_text(found)
     assert 'unknown in every recording' in fleet_page(found)
+    for row in csv.DictReader(io.StringIO(to_csv(found))):
+        assert (row['z_m'], row['unobserved']) == ('', 'z')
+        assert row['x_m'] and row['roll_deg']
     found = compare(fleet(blind, 12, lambda k: MOVED * (k >= 8), covariance=P))
     assert found.describe()[0].startswith('CHANGED: fleet0-7 | fleet8-11')
 

@@ -63,6 +63,17 @@ def test_an_unobserved_rotation_hides_the_quaternion():
     assert next(line for line in text.splitlines() if 'quaternion' in line).endswith(' unknown')
 
 
+def test_the_error_against_the_truth_leaves_out_what_is_unknown():
+    T = np.eye(4)
+    T[:3, 3] = [0.23, -1.29, 7.0]
+    line = '  error against the ground truth: '
+    assert line + '7.0002 m, 0.000 deg\n' in format_result(make(), T)
+    assert line + '0.0500 m, 0.000 deg (without z)\n' in format_result(
+        make(status={'z': 'unobserved'}), T)
+    assert line + 'unknown, 0.000 deg (without x, y, z)\n' in format_result(
+        make(status=dict.fromkeys('xyz', 'unobserved')), T)
+
+
 def test_verbose_says_which_poses_were_not_used():
     result = make()
     summary = replace(result.association, in_gaps=2, between=35)

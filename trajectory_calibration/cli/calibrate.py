@@ -86,6 +86,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         _write(result, truth, arguments.output)
         written.append(arguments.output)
+        if _is_kept_back(result):
+            print(f'no exports: {", ".join(result.observability.unobserved)} unknown; export '
+                  f'{arguments.output / RESULT_FILE} --allow-unobserved writes them',
+                  file=sys.stderr)
     written += write_pages(result, a, b, truth, arguments, arguments.report)
     _print(result, truth, arguments, written)
     return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
@@ -111,6 +115,8 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
+        if _is_kept_back(result):
+            return
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
         if result.frame_a != result.frame_b:
             from trajectory_calibration.outputs.exports import write_exports
@@ -121,6 +127,11 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         ) from error
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
+
+
+def _is_kept_back(result: CalibrationResult) -> bool:
+    """Tell whether other tools would take an arbitrary number for the answer."""
+    return bool(result.observability.unobserved) and not result.config.allow_unobserved
 
 
 def serious_lines(result: CalibrationResult) -> list[str]:

@@ -9,11 +9,11 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli import exit_status
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.errors import ConfigError, MotionError, ResultError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.outputs.placement import Placement, require_observed
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -27,8 +27,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description='Write the extrinsic of a saved result for another tool. The parent is '
         'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
         epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
-        'URDF),\nx,y,z,qx,qy,qz,qw, or a file. Exit status 3: exported, but a direction is '
-        'unobserved.')
+        'URDF),\nx,y,z,qx,qy,qz,qw, or a file. Exit status: 0 done; 3 a direction is '
+        'unknown: written with\n--allow-unobserved only; 1 not written.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
     parser.add_argument(
         '--as', dest='format', required=True, choices=tuple(EXPORTS), metavar='FORMAT',
@@ -51,13 +51,25 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--output', type=Path, metavar='FILE', help='file to write (default: standard output)')
     parser.add_argument('--force', action='store_true', help='overwrite the file')
+    parser.add_argument(
+        '--allow-unobserved', action='store_true', help='write a direction that is unknown all '
+        'the same, as an arbitrary number with a comment')
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the export."""
     exporter = EXPORTS[arguments.format]
-    item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
+    result = CalibrationResult.load(arguments.result)
+    item = _placed(Placement.of(result), arguments)
+    if not arguments.allow_unobserved:
+        try:
+            require_observed(
+                result, 'exported', 'Calibrate with a ramp or a prior; or export an arbitrary '
+                'number with --allow-unobserved')
+        except MotionError as error:
+            print(f'error: {error}', file=sys.stderr)
+            return exit_status.OPEN
     if arguments.output is None:
         if exporter.is_binary:
             raise ConfigError(f'{arguments.format} is binary; give a file with --output')

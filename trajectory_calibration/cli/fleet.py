@@ -5,16 +5,19 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
 
-from trajectory_calibration.cli.compare import add_output_options, report
+from trajectory_calibration.cli.compare import add_output_options, FILES, report
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.report import require_new
 
 if TYPE_CHECKING:
     from trajectory_calibration.fleet.executor import Executor
+    from trajectory_calibration.fleet.jobs import Job
 
 OUTPUT = Path('fleet')
 
@@ -35,6 +38,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--a', metavar='A', help='topic of sensor a, the parent; or its file in each folder')
     parser.add_argument('--b', metavar='B', help='topic of sensor b, the child; or its file')
     add_output_options(parser, OUTPUT)
+    parser.add_argument(
+        '--force', action='store_true', help='overwrite what other jobs or settings left there')
     add_executor_options(parser)
     add_config_options(parser)
     parser.set_defaults(run=run)
@@ -57,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     from trajectory_calibration.fleet.jobs import read_jobs, run_jobs
     jobs = read_jobs(arguments.jobs_or_bags, arguments.a, arguments.b,
                      config_from_arguments(arguments))
+    _require_own(arguments.output, jobs, force=arguments.force)
     order = {job.name: k for k, job in enumerate(jobs)}
     with progress_bar('calibrating') as progress:
         entries = list(run_jobs(
@@ -67,6 +73,15 @@ def run(arguments: argparse.Namespace) -> int:
         if entry.result is None:
             print(f'{entry.name}: no answer: {entry.failure}', file=sys.stderr)
     return report(compare(entries), arguments)
+
+
+def _require_own(folder: Path, jobs: Sequence[Job], *, force: bool) -> None:
+    """Raise ConfigError where the folder holds more than an earlier part of the same run."""
+    own = {f'{job.name}-{job.fingerprint}.yaml' for job in jobs}
+    found = {path.name for path in (folder / 'results').glob('*.yaml')}
+    if found - own or not found:
+        require_new([*(folder / name for name in FILES),
+                     *(folder / 'results' / name for name in sorted(found - own))], force=force)
 
 
 def executor_of(arguments: argparse.Namespace) -> Executor:

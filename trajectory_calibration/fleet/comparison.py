@@ -179,6 +179,9 @@ def row(entry: Entry) -> dict[str, Any]:
         std = result.std
         cells.update(zip(COLUMNS[2:8], [*result.T_a_b[:3, 3].tolist(), *rpy.tolist()],
                          strict=True))
+        # An arbitrary number is none; every angle has part in an open rotation.
+        for name in result.observability.unobserved:
+            cells.update({f'{name}_m': None} if name in 'xyz' else dict.fromkeys(COLUMNS[5:8]))
         if std is not None:
             cells.update(zip(COLUMNS[8:14], [*std[:3].tolist(), *np.rad2deg(std[3:]).tolist()],
                              strict=True))

@@ -8,8 +8,9 @@ import json
 
 import numpy as np
 
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.outputs.screen import deviation_words
+from trajectory_calibration.outputs.screen import deviation_words, transform_words
 from trajectory_calibration.result import CalibrationResult
 
 # Begins every line but the first. ``ros2 service call`` prints a line break as the two
@@ -18,11 +19,10 @@ _NEXT_LINE = '\n - '
 
 
 def headline(result: CalibrationResult) -> str:
-    """Return the extrinsic in one line."""
-    x, y, z = result.T_a_b[:3, 3]
-    qx, qy, qz, qw = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
-    return (f'{result.frame_a} -> {result.frame_b}: translation [{x:.4f}, {y:.4f}, {z:.4f}] m, '
-            f'rotation xyzw [{qx:.5f}, {qy:.5f}, {qz:.5f}, {qw:.5f}]')
+    """Return the extrinsic in one line; what is not determined reads 'unknown'."""
+    words = transform_words(result, 4, 5)
+    return (f'{result.frame_a} -> {result.frame_b}: translation [{", ".join(words[:3])}] m, '
+            f'rotation xyzw [{", ".join(words[3:])}]')
 
 
 def deviations(result: CalibrationResult) -> str:
@@ -55,9 +55,9 @@ def describe(result: CalibrationResult, *notes: str) -> str:
         drift = f', changing by {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
         lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
     lines.append(
-        f'data: {result.motions} motions of {result.poses} poses; fit residual '
-        f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
-        '(not the accuracy)')
+        f'data: {counted(result.motions, "motion")} of {counted(result.poses, "pose")}; '
+        f'fit residual {result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per '
+        'motion (not the accuracy)')
     lines += filter(None, notes)
     lines += [f'{finding.level}: {finding.text}' for finding in result.findings]
     return f'{_NEXT_LINE.join(lines)}\n{summary(result)}'

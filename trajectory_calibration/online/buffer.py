@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.trajectory import pose_faults
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.refusal import fault_of, OF_MESSAGES, PoseTuple, Refusal
 from trajectory_calibration.online.track import Track
@@ -243,7 +244,7 @@ class PoseBuffer:
         """Return the counts of refused poses in words, or '' where none was."""
         counts = [f'{count} {why.value}' for why, count in self.refused.items() if count]
         total = sum(self.refused.values())
-        return f'{total} poses refused ({", ".join(counts)})' if total else ''
+        return f'{counted(total, "pose")} refused ({", ".join(counts)})' if total else ''
 
     def _without_slashes(self, frames: Frames) -> Frames:
         """Return frame ids as tf2 takes them: it refuses a leading slash."""

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import re
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import CalibrationError, MotionError
+from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.overlay import make_overlay, Overlay
 from trajectory_calibration.online.track import Track
+from trajectory_calibration.outputs.placement import require_observed
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -47,7 +48,7 @@ class CalibrationJob:
         try:
             a, b = self.track_a.trajectory(), self.track_b.trajectory()
             result = calibrate(a, b, self.config)
-            _require_observed(result)
+            require_observed(result, 'published', _way_out(result))
             return Calibration(result, make_overlay(a, b, result))
         except CalibrationError as error:
             # What was refused may be why.
@@ -113,14 +114,9 @@ def name_of(topic: str) -> str:
     return topic.strip('/').replace('/', '_')
 
 
-def _require_observed(result: CalibrationResult) -> None:
-    unobserved = result.observability.unobserved
-    if not unobserved or result.config.allow_unobserved:
-        return
-    # The findings name the ways out, in words of the command line.
+def _way_out(result: CalibrationResult) -> str:
+    """Return what the findings advise for open directions, in words of the node."""
     why = re.sub(r'--([a-z-]+)=', lambda option: f'{option[1].replace("-", "_")}:=',
                  '; '.join(found.text for found in result.observability.findings
                            if found.code == 'direction-unobserved'))
-    raise MotionError(
-        f'not published: {", ".join(unobserved)} of {result.frame_b} in {result.frame_a} '
-        f'unobservable. {why[:1].upper()}{why[1:]}')
+    return why[:1].upper() + why[1:]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.errors import counted, TrajectoryError
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # A track of more poses is thinned, but never to longer steps than this: what lies between two
@@ -44,8 +44,8 @@ class Track:
         if len(self.stamps_ns) < 2:
             notes = ''.join(f'; {note}' for note in self.warnings)
             raise TrajectoryError(
-                f'{self.sensor_frame}: {len(self.stamps_ns)} poses received, needed at least 2; '
-                f'check that the topic is published, and drive{notes}')
+                f'{self.sensor_frame}: {counted(len(self.stamps_ns), "pose")} received, needed at '
+                f'least 2; check that the topic is published, and drive{notes}')
         return Trajectory.from_quaternions(
             self.stamps_ns, self.poses[:, :3], self.poses[:, 3:], self.world_frame,
             self.sensor_frame,

@@ -1,12 +1,14 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The six numbers of an answer with their deviations and marks: one table for every surface.
+"""The six numbers of a pose with their deviations and marks: one table for every surface.
 
-The screen, the report and the notebook show these rows, so that they cannot differ.
+Screens, reports, tables and the notebook, of a pair, a rig or many recordings, show these rows, so
+that they cannot differ.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +20,7 @@ from trajectory_calibration.assessment.observability import (
     UNOBSERVED,
     WEAK,
 )
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
@@ -70,19 +73,76 @@ class Row:
         """Tell whether the number may be shown."""
         return self.status != UNOBSERVED
 
+    @property
+    def value_text(self) -> str:
+        """Return the number with as many digits as its deviation leaves, or 'unknown'."""
+        return fixed(self.value, self._digits) if self.is_known else self.word
+
+    @property
+    def std_text(self) -> str:
+        """Return two digits of the deviation; '' where there is none, or no number."""
+        return f'{self.std:.{self._digits}f}' if self.is_known and self.std is not None else ''
+
+    @property
+    def error_text(self) -> str:
+        """Return the error with its sign; '' where the truth or the number is not known."""
+        if self.error is None or not self.is_known:
+            return ''
+        return f'{round(self.error, self._digits) + 0.0:+.{self._digits}f}'
+
+    @property
+    def sigma(self) -> float | None:
+        """Return the size of the error in standard deviations, None where that says nothing."""
+        if self.error is None or not self.is_known or not self.std:
+            return None
+        return abs(self.error) / self.std
+
+    @property
+    def _digits(self) -> int:
+        """Return the decimals for two digits of the deviation; 3 to 6 of metres, 2 to 5 of deg."""
+        least = 3 if self.unit == 'm' else 2
+        if self.std is None or not self.std > 0:
+            return least + 1
+        decimals = least
+        while decimals < least + 3 and self.std < 10.0 ** (1 - decimals) * 0.995:
+            decimals += 1
+        return decimals
+
+    def __str__(self) -> str:
+        """Return '0.209 +- 0.063', or 'unknown'."""
+        return f'{self.value_text} +- {self.std_text}' if self.std_text else self.value_text
+
 
 def answer_rows(
     result: CalibrationResult, T_a_b_true: FloatArray | None = None,
 ) -> tuple[Row, ...]:
     """Return the six rows of a result; ``T_a_b_true`` (4, 4) fills their errors."""
-    config = result.config
-    angles = np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3]))
-    values = np.concatenate([result.T_a_b[:3, 3], angles])
-    std, to_angles = _deviations(result)
-    statuses = [result.observability.status[name] for name in DEGREES_OF_FREEDOM[:3]]
-    statuses += _angle_statuses(result, to_angles)
-    errors = (None if T_a_b_true is None
-              else _errors(result.T_a_b, T_a_b_true, to_angles))
+    return pose_rows(result.T_a_b, result.covariance, result.observability.status,
+                     result.config, T_a_b_true)
+
+
+def pose_rows(
+    T: FloatArray, covariance: FloatArray | None, status: Mapping[str, str],
+    config: CalibrationConfig, T_true: FloatArray | None = None,
+) -> tuple[Row, ...]:
+    """Return the six rows of a pose.
+
+    Parameters
+    ----------
+    T : (4, 4), metres.
+    covariance : (6, 6) or None, order and side as in ``CalibrationResult``.
+    status : of each degree of freedom of the covariance.
+    config : its limits of weak and unobserved.
+    T_true : (4, 4), optional
+        Fills the errors.
+
+    """
+    values = np.concatenate([T[:3, 3], np.rad2deg(se3.roll_pitch_yaw(T[:3, :3]))])
+    to_angles = angle_jacobian(T[:3, :3])
+    std = None if covariance is None else _deviations(covariance, to_angles)
+    statuses = [status[name] for name in DEGREES_OF_FREEDOM[:3]]
+    statuses += _angle_statuses(covariance, status, to_angles)
+    errors = None if T_true is None else _errors(T, T_true, to_angles)
     limits = (
         (config.weak_translation, config.unobserved_translation),
         (config.weak_rotation, config.unobserved_rotation))
@@ -91,6 +151,19 @@ def answer_rows(
             'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
             None if errors is None else float(errors[k]))
         for k, name in enumerate(NAMES))
+
+
+def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
+    """Return how far a (4, 4) pose is from the truth, without what is unknown of it."""
+    step = se3.step_between(T_true, T)
+    unknown = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
+    step[unknown] = 0.0
+    step[3:] = np.rad2deg(step[3:])
+    words = ', '.join(
+        'unknown' if unknown[part].all() else f'{np.linalg.norm(step[part]):.{digits}f} {unit}'
+        for part, digits, unit in ((slice(0, 3), 4, 'm'), (slice(3, 6), 3, 'deg')))
+    left_out = ', '.join(np.array(DEGREES_OF_FREEDOM)[unknown])
+    return f'{words} (without {left_out})' if left_out else words
 
 
 def worst_status(rows: tuple[Row, ...]) -> str:
@@ -117,22 +190,9 @@ def _grouped(names: list[str]) -> str:
     return text
 
 
-def number(value: float, std: float | None, unit: str) -> str:
-    """Return a number with as many digits as its deviation leaves: '0.209', '-90.15'."""
-    digits = digits_of(std, unit)
-    # No minus before a zero.
-    return f'{round(value, digits) + 0.0:.{digits}f}'
-
-
-def digits_of(std: float | None, unit: str) -> int:
-    """Return the decimals that show two digits of a deviation; 3 to 6 of metres, 2 to 5 of deg."""
-    least = 3 if unit == 'm' else 2
-    if std is None or not std > 0:
-        return least + 1
-    decimals = least
-    while decimals < least + 3 and std < 10.0 ** (1 - decimals) * 0.995:
-        decimals += 1
-    return decimals
+def fixed(value: float, digits: int) -> str:
+    """Return a number with so many decimals, and no minus before a zero."""
+    return f'{round(float(value), digits) + 0.0:.{digits}f}'
 
 
 def angle_jacobian(R: FloatArray) -> FloatArray:
@@ -146,27 +206,24 @@ def angle_jacobian(R: FloatArray) -> FloatArray:
     return np.linalg.inv(columns)
 
 
-def _deviations(result: CalibrationResult) -> tuple[FloatArray | None, FloatArray]:
-    """Return (6,) standard deviations, metres and degrees, and the jacobian of the angles."""
-    to_angles = angle_jacobian(result.T_a_b[:3, :3])
-    if result.covariance is None:
-        return None, to_angles
-    P = result.covariance
+def _deviations(covariance: FloatArray, to_angles: FloatArray) -> FloatArray:
+    """Return (6,) standard deviations of x, y, z, roll, pitch, yaw: metres, degrees."""
     variance = np.concatenate([
-        np.diagonal(P)[:3],
-        np.einsum('ij,jk,ik->i', to_angles, P[3:, 3:], to_angles)])
-    std = np.sqrt(np.maximum(variance, 0.0))
+        np.diagonal(covariance)[:3],
+        np.einsum('ij,jk,ik->i', to_angles, covariance[3:, 3:], to_angles)])
+    std: FloatArray = np.sqrt(np.maximum(variance, 0.0))
     std[3:] = np.rad2deg(std[3:])
-    return std, to_angles
+    return std
 
 
-def _angle_statuses(result: CalibrationResult, to_angles: FloatArray) -> list[str]:
+def _angle_statuses(
+    covariance: FloatArray | None, status: Mapping[str, str], to_angles: FloatArray,
+) -> list[str]:
     """Return the status of roll, pitch, yaw: the worst of the axes that they come from."""
-    by_axis = [result.observability.status[name] for name in DEGREES_OF_FREEDOM[3:]]
-    if result.covariance is None:
-        share = to_angles**2
-    else:
-        share = to_angles**2 * np.maximum(np.diagonal(result.covariance)[3:], 1e-30)
+    by_axis = [status[name] for name in DEGREES_OF_FREEDOM[3:]]
+    share = to_angles**2
+    if covariance is not None:
+        share = share * np.maximum(np.diagonal(covariance)[3:], 1e-30)
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
     counts = share > _MAIN_SHARE
     # Every axis counts somewhere: an open one must be seen.

@@ -9,8 +9,10 @@ import io
 import json
 
 from trajectory_calibration.fleet.comparison import COLUMNS, Comparison, Entry, row
+from trajectory_calibration.outputs.answer import answer_rows, NAMES
 
-_HEAD = ('', 'date', 'x', 'y', 'z [m]', 'roll', 'pitch', 'yaw [deg]', 'findings')
+_UNITS = {'z': ' [m]', 'yaw': ' [deg]'}
+_HEAD = ('', 'date', *(f'{name}{_UNITS.get(name, "")}' for name in NAMES), 'findings')
 
 _SHOWN_FINDINGS = 2
 
@@ -23,8 +25,8 @@ def to_text(comparison: Comparison) -> str:
     for cells in rows:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
         lines.append('  '.join(padded).rstrip())
-    legend = ('value +- standard deviation, along and about the axes of a; unknown: the motion '
-              'does not determine it')
+    legend = ('value +- standard deviation, along the axes of a and of the angles; unknown: the '
+              'motion does not determine it')
     return '\n'.join([*lines, '', legend]) + '\n'
 
 
@@ -56,15 +58,7 @@ def values_of(entry: Entry) -> tuple[str, ...]:
     """Return x, y, z, roll, pitch, yaw in words: '0.209 +- 0.063', 'unknown'."""
     if entry.result is None:
         return ('',) * 6
-    cells = row(entry)
-    status = list(entry.result.observability.status.values())
-    words = []
-    for k, (value, std) in enumerate(zip(COLUMNS[2:8], COLUMNS[8:14], strict=True)):
-        digits = 4 if k < 3 else 3
-        deviation = '' if cells[std] is None else f' +- {cells[std]:.{digits}f}'
-        words.append('unknown' if status[k] == 'unobserved'
-                     else f'{cells[value]:.{digits}f}{deviation}')
-    return tuple(words)
+    return tuple(map(str, answer_rows(entry.result)))
 
 
 def _findings(codes: str) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
@@ -46,7 +46,7 @@ class Placement:
             a, b, result.T_a_b, result.covariance,
             tuple(f'{name} of {b} in {a}' for name in result.observability.unobserved),
             f'trajectory_calibration {result.version}, solver {result.config.solver}, '
-            f'{result.motions} motions')
+            f'{counted(result.motions, "motion")}')
 
     def inverted(self) -> Placement:
         """Return the pose of the parent in the child."""
@@ -95,3 +95,19 @@ class Placement:
             return None
         carried: FloatArray = jacobian @ self.covariance @ jacobian.T
         return carried
+
+
+def require_observed(result: CalibrationResult, done: str, way_out: str) -> None:
+    """Refuse to hand on an answer of which a direction is an arbitrary number.
+
+    Raises
+    ------
+    MotionError
+        Neither the motion nor a prior determines a direction, and ``allow_unobserved`` is not
+        set: 'not exported: z of camera in lidar is unknown. <way_out>'.
+
+    """
+    open_ = result.observability.unobserved
+    if open_ and not result.config.allow_unobserved:
+        raise MotionError(f'not {done}: {", ".join(open_)} of {result.frame_b} in '
+                          f'{result.frame_a} unobservable. {way_out}')

@@ -18,8 +18,8 @@ from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.render import finding_list
 from trajectory_calibration.outputs.report.text import figure, section, table
-from trajectory_calibration.outputs.rig_screen import values_of
-from trajectory_calibration.rig.result import COMPONENTS, PairReport, RigResult
+from trajectory_calibration.outputs.rig_screen import sensor_rows
+from trajectory_calibration.rig.result import PairReport, RigResult
 from trajectory_calibration.rig.windows import common_grid, Grid, Track
 
 _WIDTH, _HEIGHT, _MARGIN = 360, 260, 34
@@ -86,14 +86,10 @@ def _box(rig: RigResult) -> str:
     for sensor in rig.sensors.values():
         if sensor.name == sensor.base:
             continue
-        values, std = values_of(sensor)
         cells = [sensor.name, sensor.base]
-        for k, component in enumerate(COMPONENTS):
-            status = sensor.status[component]
-            digits = 3 if k < 3 else 2
-            mark = {'weak': ' weak', 'prior': ' prior'}.get(status, '')
-            cells.append('unknown' if status == 'unobserved' else
-                         f'{values[k]:.{digits}f} ± {std[k]:.{digits}f}{mark}')
+        for row in sensor_rows(rig, sensor):
+            mark = f' {row.word}' if row.word in ('weak', 'prior') else ''
+            cells.append(f'{row}{mark}'.replace('+-', '±'))
         cells += [f'{1e3 * sensor.clock.offset_s:+.1f} ± {1e3 * sensor.clock.offset_std_s:.1f}',
                   '1' if sensor.scale == 1 else f'{sensor.scale:.4f} ± {sensor.scale_std:.4f}']
         rows.append(tuple(cells))

@@ -8,14 +8,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from trajectory_calibration.data.findings import worst_first
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import error_words, NAMES, pose_rows, Row
+from trajectory_calibration.outputs.screen import finding_lines
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.rig.result import COMPONENTS, RigResult, SensorAnswer
+from trajectory_calibration.rig.result import RigResult, SensorAnswer
 
-_STYLES = {'observed': 'ok', 'weak': 'weak', 'unobserved': 'unknown', 'prior': 'prior'}
-_NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
+# Beside a number, by its word.
+_MARKS = {'weak': 'w', 'prior': 'p', 'unknown': '', 'ok': ''}
 
 # Findings that are shown without -v.
 _MOST_FINDINGS = 5
@@ -35,8 +35,8 @@ def format_rig(
         lines.append(terminal.paint(f'Rig of {len(names)} sensors in {base}', 'head')
                      + terminal.paint(f'   p_{base} = T p_sensor, m and deg', 'soft'))
         lines.append(terminal.paint(
-            f'  {"":<14}' + ''.join(f'{name:>20}' for name in _NAMES), 'soft'))
-        lines += [_row(rig.sensors[name], terminal) for name in names if name != base]
+            f'  {"":<14}' + ''.join(f'{name:>20}' for name in NAMES), 'soft'))
+        lines += [_row(rig, rig.sensors[name], terminal) for name in names if name != base]
     lines += [terminal.paint(f'  {name:<14}{"no answer":>20}', 'unknown')
               for name in rig.unplaced if name not in rig.sensors]
     lines.append(terminal.paint(
@@ -48,39 +48,21 @@ def format_rig(
     if rig.degrees:
         lines.append(f'\nloops close with chi-squared {rig.chi_squared:.1f} of {rig.degrees} '
                      f'degrees of freedom (p = {rig.p_value:.2g})')
-    findings = worst_first(rig.findings)
-    shown = findings if verbose else findings[:_MOST_FINDINGS]
-    if shown:
-        lines.append('')
-        for found in shown:
-            head = f'{found.level}: '
-            lines += terminal.wrapped(f'{head}{found.text}', rest=' ' * len(head))
-    if len(shown) < len(findings):
-        lines.append(f'and {len(findings) - len(shown)} more: -v')
+    lines += finding_lines(rig.findings, terminal, None if verbose else _MOST_FINDINGS)
     if verbose:
         lines += ['', *_pairs(rig)]
     return '\n'.join(lines) + '\n'
 
 
-def values_of(sensor: SensorAnswer) -> tuple[FloatArray, FloatArray]:
-    """Return (6,) x, y, z, roll, pitch, yaw and their deviations, metres and degrees."""
-    T = sensor.T_base_sensor
-    values = np.concatenate([T[:3, 3], np.rad2deg(se3.roll_pitch_yaw(T[:3, :3]))])
-    std = np.sqrt(np.maximum(np.diagonal(sensor.covariance), 0.0))
-    std[3:] = np.rad2deg(std[3:])
-    return values, std
+def sensor_rows(rig: RigResult, sensor: SensorAnswer) -> tuple[Row, ...]:
+    """Return x, y, z, roll, pitch, yaw of a sensor in its base, with deviations and marks."""
+    return pose_rows(sensor.T_base_sensor, sensor.covariance, sensor.status,
+                     rig.config.calibration)
 
 
-def _row(sensor: SensorAnswer, terminal: Terminal) -> str:
-    values, std = values_of(sensor)
-    cells = []
-    for k, component in enumerate(COMPONENTS):
-        status = sensor.status[component]
-        mark = {'weak': ' w', 'prior': ' p'}.get(status, '')
-        words = ('unknown' if status == 'unobserved' else
-                 f'{values[k]:.3f} +- {std[k]:.3f}{mark}' if k < 3 else
-                 f'{values[k]:.2f} +- {std[k]:.2f}{mark}')
-        cells.append(terminal.paint(f'{words:>20}', _STYLES.get(status, 'ok')))
+def _row(rig: RigResult, sensor: SensorAnswer, terminal: Terminal) -> str:
+    cells = [terminal.paint(f'{row} {_MARKS[row.word]}'.rstrip().rjust(20), row.word)
+             for row in sensor_rows(rig, sensor)]
     return f'  {sensor.name:<14}' + ''.join(cells)
 
 
@@ -103,14 +85,10 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
 
 
 def _errors(rig: RigResult, truth: Mapping[str, FloatArray]) -> list[str]:
-    lines = []
-    for name in rig.free:
-        if name in truth:
-            step = se3.step_between(truth[name], rig.sensors[name].T_base_sensor)
-            lines.append(f'  error of {name} against the ground truth: '
-                         f'{np.linalg.norm(step[:3]):.4f} m, '
-                         f'{np.rad2deg(np.linalg.norm(step[3:])):.3f} deg')
-    return lines
+    answers = ((name, rig.sensors[name]) for name in rig.free if name in truth)
+    return [f'  error of {name} against the ground truth: '
+            + error_words(sensor.T_base_sensor, truth[name], sensor.status)
+            for name, sensor in answers]
 
 
 def _pairs(rig: RigResult) -> list[str]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.pose_pairs import AssociationSummary
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows, digits_of, number, Row
+from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNKNOWN
@@ -49,21 +50,13 @@ def format_result(
              + terminal.paint(f'   p_{a} = T p_{b}', 'soft')]
     lines += _answer(rows, terminal)
     if T_a_b_true is not None:
-        error = result.absolute_errors(T_a_b_true)
-        unknown = result.observability.unobserved
-        without = ' (unknown directions count)' if unknown else ''
-        lines.append(f'  error against the ground truth: {error.e_at:.4f} m, '
-                     f'{np.rad2deg(error.e_aR):.3f} deg{without}')
+        lines.append('  error against the ground truth: ' + error_words(
+            result.T_a_b, T_a_b_true, result.observability.status))
     lines += _legend(result, terminal)
     # The marks show what is weak; other warnings are news.
-    findings = worst_first(sorted(
-        result.findings, key=lambda found: found.code == 'direction-weak'))
-    shown = findings if verbose else findings[:_MOST_FINDINGS]
-    if shown:
-        lines.append('')
-        lines += [line for found in shown for line in _finding(found, terminal)]
-    if len(shown) < len(findings):
-        lines.append(f'and {len(findings) - len(shown)} more: -v')
+    lines += finding_lines(
+        sorted(result.findings, key=lambda found: found.code == 'direction-weak'), terminal,
+        None if verbose else _MOST_FINDINGS)
     if verbose:
         lines += ['', *terminal.aligned(_details(result))]
     return '\n'.join(lines) + '\n'
@@ -71,42 +64,38 @@ def format_result(
 
 def format_transform(result: CalibrationResult) -> str:
     """Return 'x y z qx qy qz qw' in one line; what is not determined reads 'unknown'."""
+    return ' '.join(transform_words(result, 9, 9)) + '\n'
+
+
+def transform_words(
+    result: CalibrationResult, digits: int, quaternion_digits: int,
+) -> list[str]:
+    """Return x, y, z, qx, qy, qz, qw; 'unknown' for what is not determined."""
     rows = answer_rows(result)
-    words = [f'{value + 0.0:.9f}' if row.is_known else 'unknown'
-             for value, row in zip(result.T_a_b[:3, 3], rows[:3], strict=True)]
-    quaternion = se3.rotation_to_quaternion(result.T_a_b[:3, :3])
+    words = [fixed(row.value, digits) if row.is_known else row.word for row in rows[:3]]
     known = all(row.is_known for row in rows[3:])
-    words += [f'{value + 0.0:.9f}' if known else 'unknown' for value in quaternion]
-    return ' '.join(words) + '\n'
+    return words + [fixed(value, quaternion_digits) if known else 'unknown'
+                    for value in se3.rotation_to_quaternion(result.T_a_b[:3, :3])]
 
 
 def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
     """Return the six numbers in columns, the points below each other."""
-    values = [number(row.value, row.std, row.unit) if row.is_known else 'unknown' for row in rows]
-    before = max(len(value.partition('.')[0]) for value in values if '.' in value) \
-        if any('.' in value for value in values) else 0
-    before = max(before, 4)
-    after = max([len(value.partition('.')[2]) for value in values] + [3])
+    parts = [row.value_text.partition('.') for row in rows if row.is_known]
+    before = max([len(whole) for whole, _, _ in parts] + [4])
+    after = max([len(digits) for _, _, digits in parts] + [3])
     lines = []
-    for row, value in zip(rows, values, strict=True):
-        if row.is_known:
-            whole, _, digits = value.partition('.')
-            shown = f'{whole:>{before}}.{digits:<{after}}'
-            std = '' if row.std is None else f'+- {row.std:.{digits_of(row.std, row.unit)}f}'
-            unit = row.unit
-        else:
-            shown, std, unit = f'{"unknown":>{before + after + 1}}', '', ''
+    for row in rows:
+        whole, point, digits = row.value_text.partition('.')
+        shown = (f'{whole:>{before}}.{digits:<{after}}' if point else
+                 whole.rjust(before + after + 1))
+        std = f'+- {row.std_text}' if row.std_text else ''
+        unit = row.unit if row.is_known else ''
         line = f'  {row.name:<5} {shown} {std:<{after + 6}} {unit:<3}  '
         mark = terminal.paint(f'{row.word:<7}', row.word)
-        lines.append((line + mark + _error(row)).rstrip())
+        error = f'  error {row.error_text} {row.unit}' if row.error_text else ''
+        sigma = '' if row.sigma is None else f' = {row.sigma:.1f} sigma'
+        lines.append((line + mark + error + sigma).rstrip())
     return lines
-
-
-def _error(row: Row) -> str:
-    if row.error is None or not row.is_known:
-        return ''
-    sigma = f' = {abs(row.error) / row.std:.1f} sigma' if row.std else ''
-    return f'  error {row.error:+.{digits_of(row.std, row.unit)}f} {row.unit}{sigma}'
 
 
 def _legend(result: CalibrationResult, terminal: Terminal) -> list[str]:
@@ -117,19 +106,27 @@ def _legend(result: CalibrationResult, terminal: Terminal) -> list[str]:
     return [terminal.paint(line, 'soft') for line in terminal.wrapped(text, '  ', '  ')]
 
 
-def _finding(found: Finding, terminal: Terminal) -> list[str]:
-    lines = terminal.wrapped(f'{found.level}: {" ".join(found.text.split())}', '', '  ')
-    head = f'{found.level}:'
-    lines[0] = terminal.paint(head, found.level) + lines[0][len(head):]
-    return lines
+def finding_lines(
+    findings: Iterable[Finding], terminal: Terminal, most: int | None,
+) -> list[str]:
+    """Return a blank line and the worst findings, at most ``most``, and how many are left."""
+    ordered = worst_first(findings)
+    lines = ['']
+    for found in ordered[:most]:
+        head = f'{found.level}:'
+        first, *rest = terminal.wrapped(f'{head} {" ".join(found.text.split())}', '', '  ')
+        lines += [terminal.paint(head, found.level) + first[len(head):], *rest]
+    if most is not None and len(ordered) > most:
+        lines.append(f'and {len(ordered) - most} more: -v')
+    return lines if ordered else []
 
 
 def _details(result: CalibrationResult) -> dict[str, str]:
     """Return how the answer was made, by the name of each thing."""
     a, b = result.frame_a, result.frame_b
-    is_known = not any(name.startswith('rotation') for name in result.observability.unobserved)
-    rows = {'quaternion': _named(se3.rotation_to_quaternion(result.T_a_b[:3, :3]), 'xyzw', 6)
-            if is_known else 'unknown'}
+    quaternion = transform_words(result, 6, 6)[3:]
+    rows = {'quaternion': 'unknown' if 'unknown' in quaternion else '  '.join(
+        f'{name} {word}' for name, word in zip('xyzw', quaternion, strict=True))}
     if result.covariance is not None:
         words = [f'{name} {word}' for name, word in zip(
             'xyzxyz', deviation_words(result.covariance), strict=True)]
@@ -187,11 +184,11 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
         if item['name'] != found['path']:
             lines += ['', f'{item["name"]}  ({item["kind"]})']
         messages = item.get('messages', item['poses'])
-        read = '' if messages == item['poses'] else f' of {messages} messages'
+        read = '' if messages == item['poses'] else f' of {counted(messages, "message")}'
         if item['kind'].endswith('/Path'):
-            read = f' in the last of {messages} messages'
-        gaps = (f'{item["gaps"]} gaps, the longest {item["longest_gap_s"]:.3f} s' if item['gaps']
-                else 'no gaps')
+            read = f' in the last of {counted(messages, "message")}'
+        longest = f', the longest {item["longest_gap_s"]:.3f} s' if item['gaps'] else ''
+        gaps = counted(item['gaps'], 'gap') + longest if item['gaps'] else 'no gaps'
         lines += _warnings(item['warnings'], terminal)
         lines += terminal.aligned({
             'frames': ('not named in the file' if item['sensor_frame'] is None
@@ -213,7 +210,8 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
     if found['other']:
         lines += ['', 'Topics that cannot serve']
         lines += terminal.aligned({
-            item['topic']: item.get('error') or f'{item["msgtype"]}, {item["messages"]} messages'
+            item['topic']: item.get('error') or (
+                f'{item["msgtype"]}, {counted(item["messages"], "message")}')
             for item in found['other']})
     return '\n'.join(lines) + '\n'
 
@@ -228,12 +226,13 @@ def _describe_scale(result: CalibrationResult) -> str:
 
 def _describe_data(result: CalibrationResult) -> str:
     summary = result.association
-    kept = '' if result.inliers is None else f', {np.count_nonzero(result.inliers)} kept'
+    kept = '' if result.inliers is None else f', {np.count_nonzero(result.inliers):,} kept'
     one, other = ('a', 'b') if summary.stamps_of == 'b' else ('b', 'a')
     how = (f'{one} interpolated at the stamps of {other}' if summary.method == 'interpolate'
            else 'nearest stamps')
-    return (f'{result.poses} pose pairs ({how}) of {summary.poses_a} and '
-            f'{summary.poses_b} poses, {result.motions} motions{kept}{_unused(summary, other)}')
+    return (f'{counted(result.poses, "pose pair")} ({how}) of {summary.poses_a:,} and '
+            f'{summary.poses_b:,} poses, {counted(result.motions, "motion")}{kept}'
+            f'{_unused(summary, other)}')
 
 
 def _unused(summary: AssociationSummary, sensor: str) -> str:
@@ -247,11 +246,6 @@ def _unused(summary: AssociationSummary, sensor: str) -> str:
 def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
     return '  '.join(
         f'{name} {fixed(value, digits)}' for name, value in zip(names, values, strict=True))
-
-
-def fixed(value: float, digits: int) -> str:
-    """Return a number with so many decimals, and no minus before a zero."""
-    return f'{round(float(value), digits) + 0.0:.{digits}f}'
 
 
 def _warnings(warnings: Iterable[str], terminal: Terminal) -> list[str]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from trajectory_calibration.errors import counted
 from trajectory_calibration.online.advice import Advice, FEWEST_S
 from trajectory_calibration.online.answer import deviations, headline
 from trajectory_calibration.online.buffer import PoseBuffer
@@ -80,7 +81,7 @@ class InputMonitor:
             name=self.name, hardware_id=buffer.frames[1] or self._sensor)
         status.level, status.message = self._judge(topic, now_s)
         if lost:
-            status.message += f'; {lost} messages lost by DDS'
+            status.message += f'; {counted(lost, "message")} lost by DDS'
         span = buffer.span_ns
         status.values = key_values({
             'poses': len(buffer),
@@ -112,7 +113,8 @@ class InputMonitor:
         if buffer.forgotten <= forgotten:
             return ''
         self._lost_s = now_s
-        lost = f'{buffer.forgotten - forgotten} poses were dropped'
+        forgotten = buffer.forgotten - forgotten
+        lost = f'{counted(forgotten, "pose")} {"was" if forgotten == 1 else "were"} dropped'
         if buffer.frame_changes > changes:
             before, now = (' and '.join(name or 'none' for name in frames)
                            for frames in (buffer.frames_before, buffer.frames))

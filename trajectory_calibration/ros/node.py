@@ -18,7 +18,7 @@ from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
 from std_srvs.srv import Trigger
 
-from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
+from trajectory_calibration.errors import CalibrationError, ConfigError, counted, ResultError
 from trajectory_calibration.online.answer import describe
 from trajectory_calibration.online.background import Background, Situation
 from trajectory_calibration.online.motion import measure, Motion
@@ -211,7 +211,8 @@ class CalibrationNode(Node):
         self._state.reset()
         response.success = True
         response.message = (
-            f'dropped {poses_a} poses of a and {poses_b} of b; the published extrinsic stays')
+            f'dropped {counted(poses_a, "pose")} of a and {poses_b:,} of b; the published '
+            'extrinsic stays')
         self.get_logger().info(response.message)
         return response
 

@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from trajectory_calibration.outputs.answer import digits_of, number, Row
+from trajectory_calibration.outputs.answer import Row
 from trajectory_calibration.outputs.verdict import Verdict
 from trajectory_calibration.result import CalibrationResult
 
@@ -56,8 +56,7 @@ def verdict_box(
 
 
 def _against_truth(rows: tuple[Row, ...]) -> str:
-    far = [row.name for row in rows if row.is_known and row.error is not None and row.std
-           and abs(row.error) > FAR * row.std]
+    far = [row.name for row in rows if row.sigma is not None and row.sigma > FAR]
     if not far:
         return ''
     return (f' <span class="unknown">Error beyond {FAR:g} σ in {", ".join(far)}: is the ground '
@@ -92,16 +91,12 @@ def _row(row: Row, *, with_error: bool) -> str:
     if row.unit == 'deg' and row.is_known:
         std = '' if row.std is None else f' ± {np.deg2rad(row.std):.2g}'
         radians = f'{np.deg2rad(row.value):.5f}{std} rad'
-    value = number(row.value, row.std, row.unit) if row.is_known else 'unknown'
-    std = ''
-    if row.is_known and row.std is not None:
-        std = f'{row.std:.{digits_of(row.std, row.unit)}f}'
     unit = row.unit if row.is_known else ''
     more = f' title="{radians}"' if radians else ''
     small = f'<small>{radians}</small>' if radians else ''
     cells = (
-        f'<th scope="row">{row.name}</th><td class="num value"{more}>{value}</td>'
-        f'<td class="num">{std}</td><td class="unit">{unit}{small}</td>'
+        f'<th scope="row">{row.name}</th><td class="num value"{more}>{row.value_text}</td>'
+        f'<td class="num">{row.std_text}</td><td class="unit">{unit}{small}</td>'
         f'<td class="of-gauge">{gauge(row)}</td>'
         f'<td class="{row.word}">{MARKS[row.word]} {row.word}</td>')
     if with_error:
@@ -110,14 +105,9 @@ def _row(row: Row, *, with_error: bool) -> str:
 
 
 def _error_cells(row: Row) -> str:
-    if row.error is None or not row.is_known:
-        return '<td class="num">–</td><td class="num">–</td>'
-    error = f'{row.error:+.{digits_of(row.std, row.unit)}f}'
-    if not row.std:
-        return f'<td class="num">{error}</td><td class="num"></td>'
-    sigma = abs(row.error) / row.std
-    style = 'num unknown' if sigma > FAR else 'num'
-    return f'<td class="num">{error}</td><td class="{style}">{sigma:.1f}</td>'
+    sigma = '–' if row.sigma is None else f'{row.sigma:.1f}'
+    style = 'num unknown' if row.sigma is not None and row.sigma > FAR else 'num'
+    return f'<td class="num">{row.error_text or "–"}</td><td class="{style}">{sigma}</td>'
 
 
 def gauge(row: Row) -> str:
