@@ -53,8 +53,8 @@ setup(
         (f'share/{NAME}/config', _files('config', '*')),
         (f'share/{NAME}/launch', _files('launch', '*.py')),
     ],
-    # Ubuntu 24.04's own NumPy and SciPy satisfy these bounds, so that pip leaves them alone
-    # where ROS is installed: its message extensions are compiled against NumPy 1.
+    # Ubuntu 24.04's own NumPy satisfies this bound, so that pip leaves it alone where ROS is
+    # installed: its message extensions are compiled against NumPy 1.
     install_requires=[
         'backports.zstd; python_version < "3.14"',
         'casadi>=3.6.3',
@@ -62,7 +62,6 @@ setup(
         'numpy>=1.23',
         'rosbags>=0.11.7',
         'ruamel.yaml>=0.17',
-        'scipy>=1.8',
     ],
     extras_require={
         # For machines without a ROS installation; elsewhere these come from apt.
@@ -79,7 +78,8 @@ setup(
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': [
             'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema', 'matplotlib>=3.7',
-            'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'urdf_parser_py', 'xacro'],
+            'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'scipy>=1.8', 'urdf_parser_py',
+            'xacro'],
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'lint': [
             'flake8',

@@ -11,7 +11,7 @@ import platform
 
 from trajectory_calibration.version import __version__
 
-_LIBRARIES = ('numpy', 'scipy', 'casadi', 'joblib')
+_LIBRARIES = ('numpy', 'casadi', 'joblib')
 
 
 def describe_machine() -> str:

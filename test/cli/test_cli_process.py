@@ -123,7 +123,6 @@ def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):
 
 @pytest.mark.parametrize('module, package, command', [
     ('casadi', 'casadi', 'calibrate {a} {b} --solver dnl --reference B5'),
-    ('scipy.signal', 'scipy', 'simulate --output {a}.d --scenario offroad'),
     ('ruamel', 'ruamel.yaml', 'calibrate {a} {b} --config {a}'),
     ('ruamel.yaml', 'ruamel.yaml', 'calibrate {a} {b} --solver park --format yaml')])
 def test_a_package_that_is_missing_is_named(tmp_path, module, package, command):
@@ -175,13 +174,31 @@ def test_an_answer_loads_nothing_that_it_does_not_need(tmp_path):
     assert done.stderr == '[]\n'
 
 
-@pytest.mark.parametrize('module', ['rosbags', 'apsw', 'scipy', 'casadi', 'ruamel', 'ruamel.yaml'])
-def test_files_and_bags_are_read_and_calibrated_with_numpy_alone(tmp_path, module):
+def test_files_and_bags_are_read_and_calibrated_with_numpy_alone(tmp_path):
     a, b, _ = write_pair(tmp_path)
     bag = str(write_pair_bag(tmp_path / 'bag'))
-    for command in (['inspect', a], ['inspect', bag], ['calibrate', a, b]):
-        done = _run_without(module, *command)
-        assert (done.returncode, done.stderr) == (0, '')
+    commands = [['inspect', a], ['inspect', bag], ['calibrate', a, b],
+                ['simulate', '--output', str(tmp_path / 'drive'), '--force']]
+    modules = ['rosbags', 'apsw', 'scipy', 'casadi', 'ruamel', 'ruamel.yaml']
+    # One process that has loaded none of them, and a copy of it without each.
+    code = (
+        'import os, sys\n'
+        'from trajectory_calibration.cli.main import main\n'
+        f'for module in {modules}:\n'
+        '    assert module not in sys.modules\n'
+        '    child = os.fork()\n'
+        '    if not child:\n'
+        '        sys.modules[module] = None\n'
+        f'        found = [main(command) for command in {commands}]\n'
+        '        sys.stdout.flush()\n'
+        '        os._exit(any(found))\n'
+        '    status = os.waitpid(child, 0)[1]\n'
+        '    print("without", module, status)\n')
+    done = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=False, timeout=120)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert re.findall(r'^without (\S+) (\d+)$', done.stdout, re.MULTILINE) == [
+        (module, '0') for module in modules]
 
 
 @pytest.mark.parametrize('arguments', [[], ['nonsense'], ['--nonsense'], ['calibrate', '--x']])

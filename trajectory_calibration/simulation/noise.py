@@ -10,7 +10,7 @@ strikes a pose, and noise of a pose comes last.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from itertools import pairwise
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,7 @@ def accumulate(
     starts = np.concatenate([[0], closures, [len(poses)]]).astype(int)
     return np.concatenate([
         anchors[start] @ running_product(np.concatenate([np.eye(4)[None], steps[start:end - 1]]))
-        for start, end in pairwise(starts)])
+        for start, end in itertools.pairwise(starts)])
 
 
 def jump(poses: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
@@ -154,12 +154,13 @@ def ornstein_uhlenbeck(
     ``translation`` (m) and ``rotation`` (rad) are its standard deviations; the samples are
     ``interval`` seconds apart.
     """
-    # SciPy loads here because the rest of the simulator does without.
-    from scipy.signal import lfilter
-    keep = np.exp(-interval / time)
+    keep = float(np.exp(-interval / time))
     driven = _gaussian(count, translation, rotation, rng)
     driven[1:] *= np.sqrt(1 - keep**2)
-    return np.asarray(lfilter([1.0], [1.0, -keep], driven, axis=0), dtype=np.float64)
+    # A million samples take a second, which is what importing a filter of SciPy takes, too.
+    columns = [list(itertools.accumulate(column, lambda before, new: keep * before + new))
+               for column in driven.T.tolist()]
+    return np.ascontiguousarray(np.array(columns, dtype=np.float64).T)
 
 
 def running_product(poses: FloatArray) -> FloatArray:
