@@ -28,9 +28,16 @@ def kitti(data, sequence):
     return drive.a, drive.b, drive.T_a_b_file
 
 
-def simulations(data):
-    """Yield kind, level (None for the mixture), run, trajectories a and b, truth."""
-    for item in published.simulation_runs(data):
+def simulations(data, every=1):
+    """Yield kind, level (None for the mixture), run, trajectories a and b, truth.
+
+    Of one run in ``every``, the same ones of each kind and level.
+    """
+    items = published.simulation_runs(data)
+    kept = set(sorted({item.run for item in items})[::every])
+    for item in items:
+        if item.run not in kept:
+            continue
         yield item.kind, _level(item.kind, item.level), item.run, *item.load()
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from thinning import thinned
 
 from trajectory_calibration import (
     calibrate,
@@ -78,8 +79,9 @@ def test_a_wrong_unit_is_not_taken_for_two_vehicles(solver, unit):
 
 
 @pytest.mark.statistical
-def test_two_vehicles_are_accused_of_no_mistaken_convention():
-    for seed in range(4):
+@thinned('seeds', 1, 4)
+def test_two_vehicles_are_accused_of_no_mistaken_convention(seeds):
+    for seed in range(seeds):
         a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b
         with pytest.raises(MotionError, match='check the topics or files'):
             calibrate(a, b, CalibrationConfig(solver='park', reference='B5'))
@@ -117,11 +119,12 @@ def test_clocks_farther_apart_than_was_looked_for(solver, offset):
 
 
 @pytest.mark.statistical
+@thinned('seeds', 1, 2)
 @pytest.mark.parametrize('offset', [6.0, 8.0, 15.0])
-def test_clocks_too_far_apart_on_flat_ground(offset):
+def test_clocks_too_far_apart_on_flat_ground(offset, seeds):
     """About one axis half of all turns have the right sign by chance."""
     motion = Unicycle(speed=5.0, yaw_rate=0.3, ground=flat)
-    for seed in range(2):
+    for seed in range(seeds):
         run = simulate(replace(DRIVE, duration=90.0, motion=motion), seed)
         late = replace(run.b, stamps_ns=run.b.stamps_ns + round(offset * 1e9))
         with pytest.raises(MotionError, match='did not turn together'):

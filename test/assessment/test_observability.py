@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from thinning import thinned
 
 from trajectory_calibration import calibrate, CalibrationConfig, MotionError, Trajectory
 from trajectory_calibration.assessment.excitation import split_pairs
@@ -42,10 +43,11 @@ def calibrated(scenario, seed, **settings):
 
 
 @pytest.mark.statistical
+@thinned('seeds', 20, 100)
 @pytest.mark.parametrize('noise', [SMALL, WALK, JUMPS], ids=['white', 'walk', 'jumps'])
-def test_flat_ground_is_flagged_in_every_seed(noise):
+def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
     scenario = with_noise(FLAT, noise, noise)
-    for seed in range(100):
+    for seed in range(seeds):
         found, _ = calibrated(scenario, seed, solver='dnl', reference='B5')
         assert 'z' in found.observability.unobserved
         assert any('translation along z of lidar' in warning for warning in found.warnings)
@@ -60,6 +62,7 @@ def test_flat_ground_is_flagged_whoever_solves(solver):
 
 
 @pytest.mark.statistical
+@thinned('share', 5, 1)
 @pytest.mark.parametrize(('scenario', 'seeds', 'solver'), [
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 40, 'dnl'),
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 10, 'park'),
@@ -69,8 +72,8 @@ def test_flat_ground_is_flagged_whoever_solves(solver):
     (SCENARIOS['drone'], 3, 'dnl'),
     (SCENARIOS['offroad'], 3, 'dnl'),
 ])
-def test_well_excited_motion_is_never_flagged(scenario, seeds, solver):
-    for seed in range(100, 100 + seeds):
+def test_well_excited_motion_is_never_flagged(scenario, seeds, solver, share):
+    for seed in range(100, 100 + seeds, share):
         found, _ = calibrated(scenario, seed, solver=solver)
         assert found.observability.unobserved == ()
 

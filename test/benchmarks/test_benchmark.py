@@ -361,11 +361,15 @@ def test_results_come_in_the_order_of_the_items():
 
 
 def test_dask_gives_what_joblib_gives():
-    pytest.importorskip('distributed', reason='distributed is not installed')
+    distributed = pytest.importorskip('distributed', reason='distributed is not installed')
     tasks = simulated_tasks(1, 0, ('park',))[:4]
-    found, expected = (
-        [[record.errors for record in result.records] for result in executor.map(run_task, tasks)]
-        for executor in (Executor('dask', jobs=2), Executor(jobs=1)))
+    # A cluster that is there already; test_cli_fleet.py has one that is started.
+    with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
+        executors = Executor('dask', scheduler=cluster.scheduler_address), Executor(jobs=1)
+        found, expected = (
+            [[record.errors for record in result.records] for result in one.map(run_task, tasks)]
+            for one in executors)
     assert found == expected
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from thinning import thinned
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
@@ -33,14 +34,15 @@ def test_joint_covariance_is_honest():
     assert np.mean(inside) > 0.88
 
 
-def test_faults_are_named():
+@thinned('seeds', 1, 3)
+@pytest.mark.parametrize(('kind', 'fault'), [
+    ('moved', Fault(moved=0.05)), ('clock', Fault(late=0.08)),
+    ('vehicle', Fault(elsewhere=True))], ids=['moved', 'clock', 'vehicle'])
+def test_faults_are_named(kind, fault, seeds):
     slam = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
     base = RigScenario({name: Sensor(noise=slam) for name in 'abcd'}, 90.0)
-    wanted = {'moved': Fault(moved=0.05), 'clock': Fault(late=0.08),
-              'vehicle': Fault(elsewhere=True)}
-    for kind, fault in wanted.items():
-        for seed in range(3):
-            culprit = 'abcd'[(seed + 1) % 4]
-            run = simulate_rig(replace(base, faults={culprit: fault}), 50 + seed)
-            rig = calibrate_rig(run.trajectories)
-            assert [(item.sensor, item.kind) for item in rig.contradictions] == [(culprit, kind)]
+    for seed in range(seeds):
+        culprit = 'abcd'[(seed + 1) % 4]
+        run = simulate_rig(replace(base, faults={culprit: fault}), 50 + seed)
+        rig = calibrate_rig(run.trajectories)
+        assert [(item.sensor, item.kind) for item in rig.contradictions] == [(culprit, kind)]
