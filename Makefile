@@ -15,19 +15,27 @@
 SHELL := /bin/bash -o pipefail
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: demo test test-all unit lint oldest docs clean
+.PHONY: demo test test-all unit lint oldest beside docs clean
 
 VENV := .venv
 BIN := $(VENV)/bin
 SETUP_FILES := setup.py setup.cfg pyproject.toml package.xml Makefile
 
 export OMP_NUM_THREADS ?= 1
+# Many processes import the same modules.
+unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
-# Processes of the tests.
+# Processes of the tests. Each begins with a part of its own, so that what the tests of a file
+# share is made once, and takes from the others when it is done.
 JOBS ?= $(shell nproc)
-PIP_OPTIONS := -m pip install --quiet
+TOGETHER := -n $(JOBS) --dist worksteal
+# Python compiles the modules that the tests use when they are imported; most never are.
+PIP_OPTIONS := -m pip install --quiet --no-compile
 PIP_INSTALL = $(BIN)/python $(PIP_OPTIONS) -c $(VENV)/constraints.txt
+
+NO_RCLPY := echo 'error: where pip did not find rclpy: it has wheels only for Linux on x86-64;' \
+	'elsewhere source a ROS 2 Jazzy installation first' >&2; exit 1
 
 # The first interpreter that can make an environment and that rclpy has wheels for.
 SUITABLE := import ensurepip, sys, venv; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
@@ -41,17 +49,26 @@ endif
 ifdef SOURCED
 PYTHON := python3
 endif
+EXTRAS := test,lint,docs,colcon
+ifndef SOURCED
+EXTRAS := $(EXTRAS),ament,ros
+endif
 
 demo: $(VENV)/installed
 	@$(BIN)/python demo/demo.py
 
-test: lint oldest demo unit
+test: beside oldest unit
 
-test-all: lint oldest demo $(VENV)/installed-for-tests
-	$(BIN)/python -m pytest -n $(JOBS) -m ''
+test-all: beside oldest
+	$(BIN)/python -m pytest $(TOGETHER) -m ''
 
 unit: $(VENV)/installed-for-tests
-	$(BIN)/python -m pytest -n $(JOBS)
+	$(BIN)/python -m pytest $(TOGETHER)
+
+# What keeps one core busy, and on another the second installation.
+beside: $(VENV)/installed-for-tests
+	@$(MAKE) --no-print-directory $(VENV)/oldest/installed & installing=$$!; \
+	$(MAKE) --no-print-directory lint demo; status=$$?; wait $$installing && exit $$status
 
 lint: $(VENV)/installed-for-tests
 	$(BIN)/ruff check .
@@ -59,7 +76,7 @@ lint: $(VENV)/installed-for-tests
 
 # The same tests on the oldest supported dependencies, without ROS: what needs it is skipped.
 oldest: $(VENV)/oldest/installed
-	$(VENV)/oldest/bin/python -m pytest -n $(JOBS) -q -r fE -m 'not slow and not statistical'
+	$(VENV)/oldest/bin/python -m pytest $(TOGETHER) -q -r fE -m 'not slow and not statistical'
 
 docs: $(VENV)/installed-for-tests
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs
@@ -73,14 +90,14 @@ $(VENV)/constraints.txt:
 $(VENV)/installed: $(VENV)/constraints.txt $(SETUP_FILES)
 	@echo 'installing into $(VENV) ...'
 	@$(PIP_INSTALL) -e .
-	@$(if $(SOURCED),,$(PIP_INSTALL) -e '.[ros]' || { echo 'error: rclpy has wheels only for Linux' \
-	    'on x86-64; elsewhere source a ROS 2 Jazzy installation first' >&2; exit 1; })
+	@$(if $(SOURCED),,$(PIP_INSTALL) -e '.[ros]' || { $(NO_RCLPY); })
 	@touch $@
 
-$(VENV)/installed-for-tests: $(VENV)/installed
-	@echo 'installing the tools of the tests ...'
-	@$(PIP_INSTALL) -e '.[test,lint,docs,colcon$(if $(SOURCED),,,ament)]'
-	@touch $@
+# In one go with what the demo needs: each call resolves and builds anew.
+$(VENV)/installed-for-tests: $(VENV)/constraints.txt $(SETUP_FILES)
+	@echo 'installing into $(VENV), with the tools of the tests ...'
+	@$(PIP_INSTALL) -e '.[$(EXTRAS)]' || { $(NO_RCLPY); }
+	@touch $(VENV)/installed $@
 
 $(VENV)/oldest/installed: test/oldest.txt $(VENV)/installed-for-tests
 	@$(PYTHON) -m venv $(VENV)/oldest
