@@ -20,7 +20,7 @@ from trajectory_calibration.rig import (
     SensorSettings,
 )
 from trajectory_calibration.rig.clocks import Clock
-from trajectory_calibration.rig.contradictions import find_other_clocks, survival
+from trajectory_calibration.rig.contradictions import find_other_clocks
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
@@ -338,11 +338,3 @@ def test_names_that_do_not_fit_are_errors(given, config, error_type, message):
 def test_a_trajectory_is_needed():
     with pytest.raises(TrajectoryError, match='needed a Trajectory'):
         calibrate_rig({'a': 1, 'b': 2})
-
-
-def test_survival_of_chi_squared():
-    assert survival(0, 6) == 1
-    assert survival(12.592, 6) == pytest.approx(0.05, rel=1e-3)
-    assert survival(5.991, 2) == pytest.approx(0.05, rel=1e-3)
-    assert survival(5000.0, 6) == 0.0
-    assert survival(1200.0, 1000) == pytest.approx(1.22e-5, rel=0.1)

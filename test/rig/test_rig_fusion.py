@@ -12,7 +12,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig.fusion import fuse, fuse_numbers, pair_jacobian, spanning_start
 from trajectory_calibration.rig.shared_noise import (
     carried_to_stated,
-    guessed_covariance,
+    correlations,
+    guessed_correlations,
     twist_to_step,
     with_own_share,
 )
@@ -139,7 +140,8 @@ def test_a_guess_from_the_answers_alone_is_honest_where_noise_is_shared():
         sigma = np.array([0.002, 0.001, 0.003, 0.002])
         answers = noisy_answers(X, pairs, sigma, rng)
         C = covariance_of_pairs(X, pairs, sigma)
-        guess = guessed_covariance(np.stack([C[p, :, p] for p in range(6)]), X, pairs)
+        stated = np.stack([C[p, :, p] for p in range(6)])
+        guess = carried_to_stated(guessed_correlations(stated, X, pairs), stated, X, pairs)
         fused = fuse(X, pairs, answers, guess)
         error = error_of(fused, X)
         found.append(error @ np.linalg.solve(fused.covariance, error) / len(error))
@@ -150,15 +152,18 @@ def test_stated_covariances_are_kept():
     rng = np.random.default_rng(6)
     X = rig(3, rng)
     pairs = [(0, 1), (0, 2), (1, 2)]
-    M = covariance_of_pairs(X, pairs, np.array([1e-3, 2e-3, 3e-3]))
+    sigma = np.array([1e-3, 2e-3, 3e-3])
+    M = covariance_of_pairs(np.broadcast_to(np.eye(4), X.shape), pairs, sigma)
     A = rng.standard_normal((3, 6, 6))
     stated = 1e-4 * (A @ np.swapaxes(A, 1, 2) + np.eye(6))
-    C = carried_to_stated(M, stated)
+    C = carried_to_stated(correlations(M), stated, X, pairs)
     for p in range(3):
         np.testing.assert_allclose(C[p, :, p], stated[p], rtol=1e-9)
     assert np.linalg.eigvalsh(C.reshape(18, 18)).min() > -1e-12
-    np.testing.assert_allclose(
-        carried_to_stated(M, np.stack([M[p, :, p] for p in range(3)])), M, atol=1e-9)
+    wanted = covariance_of_pairs(X, pairs, sigma)
+    np.testing.assert_allclose(carried_to_stated(
+        correlations(M), np.stack([wanted[p, :, p] for p in range(3)]), X, pairs), wanted,
+        atol=1e-12)
 
 
 def test_a_prior_fixes_what_it_knows():

@@ -27,8 +27,8 @@ _WIDTH, _HEIGHT, _MARGIN = 360, 260, 34
 # Points of a track, and of a curve over time, that are drawn.
 _POINTS = 500
 
-# Chi-squared of six degrees of freedom that chance exceeds once in 20, once in 1000.
-_DOUBTFUL, _WRONG = 12.59, 22.46
+# Probabilities of a chi-squared from which on a pair is marked.
+_DOUBTFUL, _WRONG = 0.05, 1e-3
 
 # Square root of the chi-squared of two degrees of freedom that chance exceeds once in 20.
 _ELLIPSE = 2.448
@@ -175,7 +175,7 @@ def _tree(rig: RigResult) -> str:
         style = _pair_style(pair)
         parts.append(f'<path class="{style}" style="stroke-width:1.5" '
                      f'd="M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}"><title>{escape(pair.parent)} - '
-                     f'{escape(pair.child)}: {escape(_pair_words(pair))}</title></path>')
+                     f'{escape(pair.child)}: {escape(pair.words)}</title></path>')
     for name, (px, py) in at.items():
         fill = _colour(rig, name) if name in rig.sensors else 'var(--unknown)'
         base = ' (base)' if name in rig.trees else ''
@@ -194,14 +194,7 @@ def _tree(rig: RigResult) -> str:
 def _pair_style(pair: PairReport) -> str:
     if pair.failure or not pair.used:
         return 'far dashed'
-    return 'far' if pair.chi_squared > _WRONG else 'near'
-
-
-def _pair_words(pair: PairReport) -> str:
-    if pair.failure:
-        return pair.failure
-    return ('no other pair checks it' if np.isnan(pair.chi_squared) else
-            f'chi-squared {pair.chi_squared:.1f} of 6')
+    return 'far' if pair.p_value < _WRONG else 'near'
 
 
 def _matrix(rig: RigResult) -> str:
@@ -216,27 +209,28 @@ def _matrix(rig: RigResult) -> str:
                      f'text-anchor="middle">{escape(name[:6])}</text>')
     for pair in rig.pairs:
         i, j = names.index(pair.parent), names.index(pair.child)
-        known = not pair.failure and np.isfinite(pair.chi_squared)
+        known = pair.degrees > 0
         colour = ('var(--line)' if not known else
-                  'var(--okbg)' if pair.chi_squared < _DOUBTFUL else
-                  'var(--weakbg)' if pair.chi_squared < _WRONG else 'var(--unknownbg)')
-        words = f'{pair.chi_squared / 6:.1f}' if known else ('x' if pair.failure else '-')
+                  'var(--okbg)' if pair.p_value > _DOUBTFUL else
+                  'var(--weakbg)' if pair.p_value > _WRONG else 'var(--unknownbg)')
+        words = (f'{pair.chi_squared / pair.degrees:.1f}' if known else
+                 'x' if pair.failure else '-')
         for row, column in ((i, j), (j, i)):
             x, y = left + size * column, top + size * row
             parts.append(
                 f'<rect x="{x}" y="{y}" width="{size - 2}" height="{size - 2}" rx="3" '
                 f'style="fill:{colour}"><title>{escape(pair.parent)} - {escape(pair.child)}: '
-                f'{escape(_pair_words(pair))}</title></rect>'
+                f'{escape(pair.words)}</title></rect>'
                 f'<text class="note" x="{x + size / 2 - 1:.1f}" y="{y + size / 2 + 4:.1f}" '
                 f'text-anchor="middle">{words}</text>')
-    checked = [pair.chi_squared for pair in rig.pairs if np.isfinite(pair.chi_squared)]
-    reading = (f'Largest: {max(checked) / 6:.1f}; x: no answer.' if checked else
+    checked = [pair.chi_squared / pair.degrees for pair in rig.pairs if pair.degrees]
+    reading = (f'Largest: {max(checked):.1f}; x: no answer.' if checked else
                'No pair is checked by another one.')
     height = top + size * len(names) + 6
     return figure(
         'Chi-squared of each pair, per degree of freedom',
         drawing(_WIDTH, height, 'chi-squared of pairs', ''.join(parts)), reading,
-        'about 1 and below', 'a row and column of one sensor above 3.7: it contradicts the rest')
+        'about 1 and below', 'a red row and column of one sensor: it contradicts the rest')
 
 
 def _misfits(rig: RigResult) -> str:

@@ -92,11 +92,8 @@ def _errors(rig: RigResult, truth: Mapping[str, FloatArray]) -> list[str]:
 
 
 def _pairs(rig: RigResult) -> list[str]:
-    lines = ['  pairs: chi-squared of six degrees of freedom against the rig']
+    lines = ['  pairs: chi-squared and degrees of freedom against the rig']
     for pair in rig.pairs:
-        words = pair.failure or (
-            'no other pair checks it' if np.isnan(pair.chi_squared) else
-            f'{pair.chi_squared:.1f}')
         unused = '' if pair.used or pair.failure else ' (not used)'
-        lines.append(f'    {pair.parent} - {pair.child}: {words}{unused}')
+        lines.append(f'    {pair.parent} - {pair.child}: {pair.words}{unused}')
     return lines

@@ -12,12 +12,12 @@ import numpy as np
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.clocks import Clock
-from trajectory_calibration.rig.contradictions import ALARM, survival
 from trajectory_calibration.rig.doubts import (
     against_priors,
     block_of,
@@ -25,6 +25,7 @@ from trajectory_calibration.rig.doubts import (
     other_clocks,
     unconnected,
 )
+from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import calibrate_pairs, PairAnswer
 from trajectory_calibration.rig.result import (
     Contradiction,
@@ -207,7 +208,7 @@ def _of_answers(
         chi_squared += part.chi_squared
         degrees += part.degrees
     ordered = {name: sensors[name] for name in names if name in sensors}
-    p_value = survival(chi_squared, degrees)
+    p_value = probability(chi_squared, degrees)
     return RigResult(
         base=names[0] if names[0] in sensors else next(iter(ordered.values())).base,
         sensors=ordered, covariance=_block_diagonal(blocks), free=tuple(free),
@@ -245,7 +246,7 @@ def _solve_group(
              for answer in answers if answer.result is not None]
     tree = build_tree(
         group, pairs, trajectories, [config.of(name).scale == 'free' for name in group],
-        round(config.calibration.max_gap * 1e9))
+        config.calibration)
     priors = {number[name]: config.of(name).prior for name in group[1:]
               if config.of(name).prior.given}
     doubted, contradictions = doubt(tree)
@@ -274,14 +275,15 @@ def _solve_group(
         PairReport(
             group[pair.parent], group[pair.child], residual=fused.residuals[p],
             std=np.sqrt(np.diagonal(tree.C[p, :, p])),
-            chi_squared=float(fused.pair_chi_squared[p]), poses=pair.result.poses,
+            chi_squared=float(fused.pair_chi_squared[p]), degrees=int(fused.pair_degrees[p]),
+            poses=pair.result.poses,
             used=not doubted & {pair.parent, pair.child})
         for p, pair in enumerate(pairs))
     return RigResult(
         base=group[0], sensors=sensors, covariance=fused.covariance[np.ix_(rows, rows)],
         free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
-        p_value=survival(without.chi_squared, without.degrees), findings=(), config=config)
+        p_value=probability(without.chi_squared, without.degrees), findings=(), config=config)
 
 
 def _answer(
@@ -325,7 +327,7 @@ def _findings(
             'measure it and write prior_translation or prior_rotation (and its _std) below the '
             'sensor in RIG.yaml'), {'component': component, 'sensors': names})
         for component, names in open_.items()]
-    if p_value < ALARM:
+    if p_value < FALSE_ALARM:
         found.append(Finding('rig-loops', (
             f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '
             'standard deviations are too small'), {'p_value': p_value}))

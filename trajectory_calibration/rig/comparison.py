@@ -10,10 +10,12 @@ import numpy as np
 
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.contradictions import ALARM, describe_step, survival
+from trajectory_calibration.rig.contradictions import describe_step
+from trajectory_calibration.rig.observed import limits_of, probability, whitener
 from trajectory_calibration.rig.result import RigResult
-from trajectory_calibration.rig.shared_noise import regular, twist_to_step
+from trajectory_calibration.rig.shared_noise import twist_to_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,18 +27,19 @@ class Change:
     sensor : its name.
     step : (6,), from the old pose in the base to the new one, order as a covariance; of the base
         itself, about the base.
-    chi_squared, p_value : of no change, six degrees of freedom.
+    chi_squared, degrees, p_value : of no change, along what both drives observe.
 
     """
 
     sensor: str
     step: FloatArray
     chi_squared: float
+    degrees: int
     p_value: float
 
     def __str__(self) -> str:
         return (f'{self.sensor} moved by {describe_step(self.step)} '
-                f'(chi-squared {self.chi_squared:.1f} of 6, p = {self.p_value:.1g})')
+                f'(chi-squared {self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.1g})')
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,28 +104,33 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     columns = {name: np.kron(np.eye(len(others))[:, [k]], np.eye(6))
                for k, name in enumerate(others)}
     columns[base] = -np.kron(np.ones((len(others), 1)), np.eye(6))
-    W = np.linalg.inv(regular(V))
-    total = float(shift @ W @ shift)
+    limits = limits_of(new.config.calibration)
+    K = whitener(V, limits)
+    shift = K @ shift
+    total, count = float(shift @ shift), len(K)
     found: list[Change] = []
-    free = np.zeros((len(shift), 0))
-    left, degrees = total, len(shift)
-    while degrees > 0 and survival(left, degrees) < ALARM:
+    free = np.zeros((len(V), 0))
+    left, degrees = total, count
+    while degrees > 0 and probability(left, degrees) < FALSE_ALARM:
         tried = []
         for name, column in columns.items():
             if name in {change.sensor for change in found}:
                 continue
-            A = np.concatenate([free, column], axis=1)
-            answer = np.linalg.lstsq(A.T @ W @ A, A.T @ W @ shift, rcond=1e-12)[0]
-            rest = shift - A @ answer
-            tried.append((float(rest @ W @ rest), name, answer[-6:], A))
-        after, name, twist, free = min(tried, key=lambda item: item[0])
+            A = np.concatenate([free, limits * column], axis=1)
+            # A move along what is open is not looked for either.
+            answer, _, rank, _ = np.linalg.lstsq(
+                K @ A, shift, rcond=1.0 / max(1.0, float(np.linalg.norm(K @ A, 2))))
+            rest = shift - K @ A @ answer
+            tried.append((float(rest @ rest), name, limits * answer[-6:], A, count - int(rank)))
+        after, name, twist, free, remaining = min(tried, key=lambda item: item[0])
         X = old.sensors[name].T_base_sensor if name != base else np.eye(4)
-        found.append(Change(name, twist_to_step(np.eye(4), X) @ twist, left - after,
-                            min(1.0, survival(left - after, 6) * len(tried))))
-        left, degrees = after, degrees - 6
+        shown = degrees - remaining
+        found.append(Change(name, twist_to_step(np.eye(4), X) @ twist, left - after, shown,
+                            min(1.0, probability(left - after, shown) * len(tried))))
+        left, degrees = after, remaining
     return RigComparison(
         tuple(common), tuple(name for name in old.sensors if name not in common), tuple(found),
-        total, len(shift), survival(total, len(shift)))
+        total, count, probability(total, count))
 
 
 def _twist_between(T_0: FloatArray, T_1: FloatArray) -> FloatArray:

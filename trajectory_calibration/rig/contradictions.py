@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.windows import Grid, Level, TWIST
-
-# A fault is named where chance does as much less often than this, all that was tried counted.
-ALARM = 1e-3
 
 # Blocks that a drive is cut into, at least, to find when a mount moved.
 _BLOCKS = 12
@@ -60,26 +58,6 @@ class Moved:
     p_value: float
 
 
-def survival(chi_squared: float, degrees: int) -> float:
-    """Return the probability that chance exceeds a chi-squared of an even number of degrees."""
-    if degrees <= 0 or not np.isfinite(chi_squared):
-        return 1.0
-    half, term, total = 0.5 * max(chi_squared, 0.0), 1.0, 1.0
-    for k in range(1, degrees // 2):
-        term *= half / k
-        total += term
-        if total > 1e250:
-            # Still far from its tail: logarithms from here on.
-            return _log_survival(half, degrees // 2)
-    return float(np.exp(-half) * total)
-
-
-def _log_survival(half: float, terms: int) -> float:
-    k = np.arange(terms)
-    logs = k * np.log(half) - np.cumsum(np.log(np.maximum(k, 1)))
-    return float(np.exp(logs.max() - half) * np.exp(logs - logs.max()).sum())
-
-
 def find_moved(
     levels: Sequence[Level], noise: FloatArray, X: FloatArray, grid: Grid,
 ) -> Moved | None:
@@ -113,7 +91,7 @@ def find_moved(
         for sample, jump, change, weight in (*tried, *jumps):
             twist = change if jump is None else jump
             chi_squared = float(change @ weight @ change)
-            p_value = survival(chi_squared, 6) * len(tried)
+            p_value = probability(chi_squared, 6) * len(tried)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.

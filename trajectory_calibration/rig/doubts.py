@@ -9,15 +9,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.contradictions import (
-    ALARM,
     describe_step,
     find_moved,
     find_other_clocks,
-    survival,
 )
 from trajectory_calibration.rig.fusion import Fused
+from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
@@ -56,7 +56,7 @@ def doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
         return doubted, found
     if tree.noise is not None and tree.grid is not None:
         moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid)
-        if moved is not None and moved.p_value < ALARM:
+        if moved is not None and moved.p_value < FALSE_ALARM:
             seconds = 1e-9 * float(tree.grid.stamps_ns[moved.sample] - tree.grid.stamps_ns[0])
             name = tree.names[moved.sensor]
             doubted |= {moved.sensor}
@@ -82,14 +82,15 @@ def _worst_in_loops(
 ) -> tuple[int | None, Contradiction] | None:
     """Return the sensor without which the loops close best, where they do not close."""
     now = tree.fuse(doubted=doubted)
-    if survival(now.chi_squared, now.degrees) >= ALARM:
+    if probability(now.chi_squared, now.degrees) >= FALSE_ALARM:
         return None
     left = [k for k in range(len(tree.names)) if k not in doubted]
     tried = []
     for k in left:
         without = tree.fuse(doubted=doubted | {k})
         gain, degrees = now.chi_squared - without.chi_squared, now.degrees - without.degrees
-        tried.append((survival(without.chi_squared, without.degrees), gain, degrees, k, without))
+        p_rest = probability(without.chi_squared, without.degrees)
+        tried.append((p_rest, gain, degrees, k, without))
     # Without the culprit the others agree; of three, nobody is left to agree.
     told = [item for item in tried if item[4].degrees > 0]
     if not told:
@@ -97,10 +98,10 @@ def _worst_in_loops(
         return None, Contradiction(
             tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
             'three sensors none can be told from the others: add a sensor, or check all',
-            now.chi_squared, now.degrees, survival(now.chi_squared, now.degrees))
+            now.chi_squared, now.degrees, probability(now.chi_squared, now.degrees))
     p_rest, gain, degrees, k, _ = max(told, key=lambda item: (item[0], item[1]))
     name = tree.names[k]
-    p_value = min(1.0, survival(gain, degrees) * len(told))
+    p_value = min(1.0, probability(gain, degrees) * len(told))
     return k, Contradiction(
         name, 'loops', f'the pairs of {name} contradict those of the others (which agree with '
         f'p = {p_rest:.2g} without it): check its frame, its units and its data',
@@ -120,7 +121,7 @@ def against_priors(
         worst = float(np.abs(deviation / scale).max())
         # Of the largest of a few normal deviations, so that the number of components is free.
         p_value = min(1.0, len(scale) * float(np.exp(-0.5 * worst**2)))
-        if p_value < ALARM:
+        if p_value < FALSE_ALARM:
             name = tree.names[k]
             found.append(Contradiction(
                 name, 'prior', f'the prior of {name} is {worst:.0f} standard deviations from what '

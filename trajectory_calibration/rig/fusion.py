@@ -21,9 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.rig.observed import limits_of, misfit, whitener
 from trajectory_calibration.rig.shared_noise import regular, with_own_share
 
 _MAX_STEPS = 50
@@ -50,9 +52,9 @@ class Fused:
     covariance : (6 (S - 1), 6 (S - 1)), of the sensors but the base in their order, each as in
         ``CalibrationResult``.
     residuals : (P, 6), what each pair answered less what the rig has.
-    pair_chi_squared : (P,), of these residuals, six degrees of freedom each; NaN of a pair that
-        no other pair checks.
-    chi_squared, degrees : of all loops together.
+    pair_chi_squared, pair_degrees : (P,), of these residuals along what both the pair and the
+        others observe; NaN of a pair that no other pair checks.
+    chi_squared, degrees : of all loops together, along what is observed.
 
     """
 
@@ -60,6 +62,7 @@ class Fused:
     covariance: FloatArray
     residuals: FloatArray
     pair_chi_squared: FloatArray
+    pair_degrees: FloatArray
     chi_squared: float
     degrees: int
 
@@ -70,28 +73,28 @@ def fuse(
     answers: FloatArray,
     C: FloatArray,
     *,
-    base: int = 0,
     priors: Mapping[int, Prior] | None = None,
     trusted: NDArray[np.bool_] | None = None,
+    limits: FloatArray | None = None,
 ) -> Fused:
     """Return the rig that is closest to the answers of its pairs.
 
     Parameters
     ----------
     start : (S, 4, 4)
-        Sensors in the base, roughly; the base is the identity.
+        Sensors in the base, roughly; the first is the base.
     pairs : (P,) of parent and child
         The graph is connected.
     answers : (P, 4, 4)
         Pose of the child in the parent, metres of the base.
     C : (P, 6, P, 6)
         Their joint covariance.
-    base : int
-        The sensor whose pose is known.
     priors : mapping of int to Prior, optional
         Of the poses in the base, by sensor.
     trusted : (P,) bool, optional
         The others have hardly any weight: they tell only what nothing else does.
+    limits : (6,), optional
+        Deviations from which a direction is open (``observed.py``) and no loop is judged by it.
 
     Raises
     ------
@@ -99,15 +102,13 @@ def fuse(
         No convergence: the answers contradict each other by far.
 
     """
-    columns = _columns(len(start), base)
-    if not columns:
-        none = np.zeros(0)
-        return Fused(start, np.zeros((0, 0)), np.zeros((0, 6)), none, 0.0, 0)
+    columns = {s: slice(6 * s - 6, 6 * s) for s in range(1, len(start))}
+    limits = limits_of(CalibrationConfig()) if limits is None else limits
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
     doubt = np.where(trust, 1.0, 1.0 / _DOUBTED)
     roots = list(np.linalg.cholesky(np.stack([
         regular(C[p, :, p]) * doubt[p]**2 for p in range(len(pairs))])))
-    X, step = start.copy(), np.full(1, np.inf)
+    X, step, left = start.copy(), np.full(1, np.inf), np.inf
     for _ in range(_MAX_STEPS):
         residual, A = _linearise(X, pairs, answers, columns)
         known, expected = _prior_rows(X, priors or {}, columns)
@@ -115,11 +116,13 @@ def fuse(
         sides = np.concatenate([_whitened(roots, residual), expected])
         Q, triangle = np.linalg.qr(rows)
         step = np.linalg.solve(triangle, Q.T @ sides)
+        # In deviations: rounding moves what is open by more than what is known.
+        left = float(np.linalg.norm(triangle @ step))
         for s, k in columns.items():
             X[s] = se3.moved(X[s], step[k])
         if np.abs(step).max() < _SETTLED:
             break
-    if np.abs(step).max() > 1e-6:
+    if np.abs(step).max() > 1e-6 and left > 1e-3:
         raise SolverError(
             f'the poses of {len(start)} sensors do not settle in {_MAX_STEPS} steps: the answers '
             'of their pairs contradict each other; leave a sensor out')
@@ -133,38 +136,34 @@ def fuse(
     from_pairs = weights @ C.reshape(len(residual), -1) @ weights.T
     from_priors = G @ known.T
     covariance = from_pairs + from_priors @ from_priors.T
-    each, total, degrees = _misclosure(residual, A, weights, C, trust)
-    return Fused(X, 0.5 * (covariance + covariance.T), residual.reshape(-1, 6), each, total,
-                 degrees)
+    of_pairs, of_loops = _misclosure(residual, A, weights, C, trust, limits)
+    return Fused(X, 0.5 * (covariance + covariance.T), residual.reshape(-1, 6), *of_pairs,
+                 *of_loops)
 
 
 def _misclosure(
     residual: FloatArray, A: FloatArray, weights: FloatArray, C: FloatArray,
-    trusted: NDArray[np.bool_],
-) -> tuple[FloatArray, float, int]:
-    """Return chi-squared of each pair, and of the trusted ones together with their degrees."""
+    trusted: NDArray[np.bool_], limits: FloatArray,
+) -> tuple[tuple[FloatArray, FloatArray], tuple[float, int]]:
+    """Return chi-squared and degrees of each pair, and of the loops of the trusted ones."""
     pairs = C.shape[0]
     V = with_own_share(C, _OWN_SHARE)
-    # In deviations of the pairs: metres and radians do not mix.
-    scale = np.sqrt(np.maximum(np.diagonal(V), 1e-24))
-    relative = V / np.outer(scale, scale)
+    unit = np.tile(limits, pairs)
     rows = np.repeat(trusted, 6)
-    U, values, _ = np.linalg.svd(A[rows] / scale[rows, None])
-    loops = U[:, np.count_nonzero(values > 1e-9 * values.max(initial=1.0)):].T
-    total = 0.0
-    if len(loops):
-        found = loops @ (residual / scale)[rows]
-        total = float(found @ np.linalg.solve(
-            regular(loops @ relative[np.ix_(rows, rows)] @ loops.T), found))
+    U, values, _ = np.linalg.svd(A[rows] / unit[rows, None])
+    loops = (U[:, np.count_nonzero(values > 1e-9 * values.max(initial=1.0)):] / unit[rows, None]).T
+    of_loops = misfit(loops @ residual[rows], loops @ V[np.ix_(rows, rows)] @ loops.T, np.ones(1))
     left = np.eye(len(residual)) - A @ weights
-    each = np.full(pairs, np.nan)
+    each, degrees = np.full(pairs, np.nan), np.zeros(pairs)
     for p in range(pairs):
         part = slice(6 * p, 6 * p + 6)
-        own = left[part] @ V @ left[part].T / np.outer(scale[part], scale[part])
-        if np.trace(own) > 1e-6:
-            by_deviation = residual[part] / scale[part]
-            each[p] = by_deviation @ np.linalg.solve(own + 1e-4 * np.eye(6), by_deviation)
-    return each, total, len(loops)
+        own, P = left[part] @ V @ left[part].T, C[p, :, p]
+        if np.trace(np.linalg.solve(regular(P), own)) > 1e-6:
+            # What the pair leaves open counts as open, whatever the others know.
+            K = whitener(P, limits)
+            found, degrees[p] = K @ residual[part], len(K)
+            each[p] = found @ np.linalg.solve(K @ own @ K.T + 1e-4 * np.eye(len(K)), found)
+    return (each, degrees), of_loops
 
 
 def _whitened(roots: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
@@ -183,12 +182,11 @@ def _unwhitened(roots: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
 
 def spanning_start(
     sensors: int, pairs: Sequence[tuple[int, int]], answers: FloatArray, stated: FloatArray,
-    base: int = 0,
 ) -> FloatArray:
-    """Return (S, 4, 4) sensors in the base along the surest pairs; NaN where none leads."""
+    """Return (S, 4, 4) sensors in the first along the surest pairs; NaN where none leads."""
     X = np.full((sensors, 4, 4), np.nan)
-    X[base] = np.eye(4)
-    reached = {base}
+    X[0] = np.eye(4)
+    reached = {0}
     size = [float(np.trace(regular(P))) for P in stated]
     while True:
         edges = [p for p, (i, j) in enumerate(pairs) if (i in reached) != (j in reached)]
@@ -205,27 +203,21 @@ def spanning_start(
 
 def fuse_numbers(
     sensors: int, pairs: Sequence[tuple[int, int]], values: FloatArray, V: FloatArray,
-    base: int = 0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (S,) numbers, zero of the base, and their deviations from (P,) differences.
+    """Return (S,) numbers, zero of the first, and their deviations from (P,) differences.
 
     ``V`` (P, P) is the covariance of the differences ``child - parent``.
     """
     A = np.zeros((len(pairs), sensors))
     for p, (i, j) in enumerate(pairs):
         A[p, i], A[p, j] = -1.0, 1.0
-    A = np.delete(A, base, axis=1)
+    A = A[:, 1:]
     weight = 1.0 / np.maximum(np.diagonal(V), 1e-24)
     normal = (A.T * weight) @ A
     weights = np.linalg.solve(normal, A.T * weight)
     found = weights @ values
     deviations = np.sqrt(np.maximum(np.diagonal(weights @ V @ weights.T), 0.0))
-    return np.insert(found, base, 0.0), np.insert(deviations, base, 0.0)
-
-
-def _columns(sensors: int, base: int) -> dict[int, slice]:
-    others = [s for s in range(sensors) if s != base]
-    return {s: slice(6 * k, 6 * k + 6) for k, s in enumerate(others)}
+    return np.insert(found, 0, 0.0), np.insert(deviations, 0, 0.0)
 
 
 def _linearise(

@@ -29,8 +29,8 @@ _FEWEST_WINDOWS = 6
 
 _SWEEPS = 500
 
-# Metres and radians that are rounding.
-_LEAST = 1e-10
+# Metres and radians that are rounding: a nanosecond at 10 m/s.
+_LEAST = 1e-8
 
 
 @dataclass(frozen=True)

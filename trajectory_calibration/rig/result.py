@@ -20,6 +20,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.noise import SensorNoise
+from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.shared_noise import twist_to_step
 from trajectory_calibration.version import __version__
@@ -77,7 +78,8 @@ class PairReport:
     failure : why there is no answer, or empty.
     residual : (6,), its answer less the rig's, order as a covariance; NaN without an answer.
     std : (6,), what the pair states.
-    chi_squared : of the residual, six degrees of freedom; NaN where no other pair checks it.
+    chi_squared, degrees : of the residual, along what is observed; NaN where no other pair checks
+        it.
     poses : pairs of poses.
     used : whether it has part in the answer.
 
@@ -89,8 +91,21 @@ class PairReport:
     residual: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     std: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     chi_squared: float = float('nan')
+    degrees: int = 0
     poses: int = 0
     used: bool = True
+
+    @property
+    def p_value(self) -> float:
+        """Return how often chance alone exceeds the chi-squared; 1 where nothing checks it."""
+        return probability(self.chi_squared, self.degrees)
+
+    @property
+    def words(self) -> str:
+        """Return what came of the pair, in a few words."""
+        return self.failure or (
+            f'chi-squared {self.chi_squared:.1f} of {self.degrees}' if self.degrees else
+            'no other pair checks it')
 
 
 @dataclass(frozen=True)
@@ -327,7 +342,7 @@ def _pair_to_dict(pair: PairReport) -> dict[str, Any]:
         'parent': pair.parent, 'child': pair.child, 'failure': pair.failure,
         'residual': plain(pair.residual), 'std': plain(pair.std),
         'chi_squared': pair.chi_squared if np.isfinite(pair.chi_squared) else None,
-        'poses': pair.poses, 'used': pair.used,
+        'degrees_of_freedom': pair.degrees, 'poses': pair.poses, 'used': pair.used,
     }
 
 
@@ -339,4 +354,4 @@ def _pair_from_dict(data: Mapping[str, Any]) -> PairReport:
         parent=str(data['parent']), child=str(data['child']), failure=str(data['failure']),
         residual=array(data['residual']), std=array(data['std']),
         chi_squared=float('nan') if chi_squared is None else float(chi_squared),
-        poses=int(data['poses']), used=bool(data['used']))
+        degrees=int(data['degrees_of_freedom']), poses=int(data['poses']), used=bool(data['used']))

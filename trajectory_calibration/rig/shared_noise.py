@@ -9,9 +9,8 @@ sum, and the errors of two pairs have the covariance
 
 ``M_ij,kl = H_ij^-1 [ sum J^T K_ij (+-N of the sensors that both hold) K_kl J ] H_kl^-1``
 
-over the windows that both pairs see. What a pair's own solver states of its answer is kept: M is
-carried to the stated covariances by ``B M B^T``, with B the geometric mean of the stated
-covariance and the inverse of M, which changes M as little as possible.
+over the windows that both pairs see. What a pair's own solver states of its answer is kept: M
+gives the correlations only.
 
 A part of each pair's error may be its own, from interpolation or another choice of jumps:
 ``(1 - own) C + own diag(P)``; ``own = 1`` calls the pairs independent.
@@ -22,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -30,6 +30,9 @@ from trajectory_calibration.rig.windows import Level, SCALE, UNKNOWNS
 # Standard deviations of what no motion tells: metres, radians, seconds, log scale.
 _UNTOLD = (30.0, 1.0, 0.05, 0.03)
 _UNTOLD_FREE_SCALE = 1.0
+
+# No sensor is known better than this, metres and radians: exact data are, but for rounding.
+ROUNDING = np.repeat([1e-6, 1e-7], 3)
 
 # Smallest variance relative to the largest, where a stated covariance is singular.
 _SINGULAR = 1e-14
@@ -56,9 +59,7 @@ def joint_covariance(
 
     """
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    # +1: the sensor is the child; -1: it is the parent.
-    role = np.zeros((noise.shape[1], len(i)))
-    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
+    role = _roles(noise.shape[1], i, j)
     # What nothing tells is zero give or take, and that too belongs to the sensors.
     untold = np.zeros((noise.shape[1], UNKNOWNS))
     untold[:] = np.repeat(_UNTOLD, (3, 3, 1, 1))**2
@@ -73,7 +74,18 @@ def joint_covariance(
     for level, N in zip(levels, noise, strict=True):
         _add_level(bread, meat, level, N, (i, j), role)
     inverse = np.linalg.inv(bread)
-    return np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
+    M = np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
+    shared = role.T @ role
+    for a, rounding in enumerate(ROUNDING):
+        M[:, a, :, a] += rounding**2 * shared
+    return M
+
+
+def _roles(sensors: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> FloatArray:
+    """Return (S, P): +1 where a sensor is the child of a pair, -1 where it is the parent."""
+    role = np.zeros((sensors, len(i)))
+    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
+    return role
 
 
 def _add_level(
@@ -107,24 +119,33 @@ def _add_level(
         meat[np.ix_(seen, all_, seen, all_)] += added.transpose(0, 2, 1, 3)
 
 
-def carried_to_stated(M: FloatArray, stated: FloatArray) -> FloatArray:
-    """Return (P, 6, P, 6): M with the (P, 6, 6) stated covariances as its diagonal blocks."""
-    B = np.stack([_between(M[p, :, p], P) for p, P in enumerate(stated)])
-    C = np.einsum('pab,pbqc,qdc->paqd', B, M, B, optimize=True)
+def correlations(M: FloatArray) -> FloatArray:
+    """Return (P, d, P, d): how answers err together, each in the deviations of its own block."""
+    whitening = np.stack([np.linalg.inv(_root(M[p, :, p])) for p in range(len(M))])
+    return np.einsum('pab,pbqc,qdc->paqd', whitening, M, whitening, optimize=True)
+
+
+def carried_to_stated(
+    R: FloatArray, stated: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
+) -> FloatArray:
+    """Return the (P, 6, P, 6) covariance of answers with the (P, 6, 6) stated as its blocks.
+
+    ``R`` (P, 6, P, 6) are correlations of twists about the base, ``X`` (S, 4, 4) sensors in it.
+    """
+    L = np.stack([twist_to_step(X[i], X[j]) for i, j in pairs])
+    roots = np.stack([to_pair @ _root(P) for to_pair, P in zip(
+        L, _about_base(stated, L), strict=True)])
+    C = np.einsum('pab,pbqc,qdc->paqd', roots, R, roots, optimize=True)
     for p, P in enumerate(stated):
         C[p, :, p] = P
     return C
 
 
-def in_axes_of_parents(
-    M: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
-) -> FloatArray:
-    """Return covariances (P, 6, P, 6) of twists about the base as results state them.
-
-    ``X`` (S, 4, 4) are the sensors in the base.
-    """
-    L = np.stack([twist_to_step(X[i], X[j]) for i, j in pairs])
-    return np.einsum('pab,pbqc,qdc->paqd', L, M, L, optimize=True)
+def _about_base(stated: FloatArray, L: FloatArray) -> FloatArray:
+    """Return (P, 6, 6) covariances of twists about the base."""
+    inverse = np.linalg.inv(L)
+    found: FloatArray = inverse @ stated @ np.swapaxes(inverse, 1, 2)
+    return found
 
 
 def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
@@ -135,19 +156,18 @@ def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
     return result
 
 
-def guessed_covariance(
+def guessed_correlations(
     stated: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
 ) -> FloatArray:
     """Return (P, 6, P, 6) for pairs of which nothing but the answers is known.
 
     The variance of a pair is the sum of what its sensors contribute, by least squares; pairs
-    that share a sensor err together by its share, along the same axes.
+    that share a sensor err together by its share, along the same axes of the base.
     """
     sensors = len(X)
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    twists = np.stack([np.linalg.inv(twist_to_step(X[a], X[b])) for a, b in pairs])
-    in_base = twists @ stated @ np.swapaxes(twists, 1, 2)
-    size = np.array([_size(P) for P in in_base])
+    L = np.stack([twist_to_step(X[a], X[b]) for a, b in pairs])
+    size = np.array([_size(P) for P in _about_base(stated, L)])
     rows = np.zeros((len(i), sensors))
     rows[np.arange(len(i)), i] = rows[np.arange(len(i)), j] = 1.0
     root = 1.0 / size
@@ -155,16 +175,10 @@ def guessed_covariance(
         np.concatenate([rows * root[:, None], 1e-3 * np.eye(sensors) / np.median(size)]),
         np.concatenate([np.ones(len(i)), np.full(sensors, 0.5e-3)]), rcond=None)[0]
     share = np.maximum(share, 0.02 * size.min())
-    role = np.zeros((sensors, len(i)))
-    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
+    role = _roles(sensors, i, j)
     total = share[i] + share[j]
-    correlation = np.einsum('sp,sq,s->pq', role, role, share) / np.sqrt(np.outer(total, total))
-    roots = np.stack([L @ _root(P) for L, P in zip(
-        np.linalg.inv(twists), in_base, strict=True)])
-    C = np.einsum('pq,pab,qcb->paqc', correlation, roots, roots)
-    for p, P in enumerate(stated):
-        C[p, :, p] = P
-    return C
+    common = np.einsum('sp,sq,s->pq', role, role, share) / np.sqrt(np.outer(total, total))
+    return np.einsum('pq,ab->paqb', common, np.eye(6))
 
 
 def with_own_share(C: FloatArray, own: float) -> FloatArray:
@@ -182,20 +196,10 @@ def _size(P: FloatArray) -> float:
 
 
 def _root(P: FloatArray) -> FloatArray:
-    """Return the symmetric square root of a (d, d) covariance, scaled by its deviations."""
+    """Return a (d, d) root of a covariance: the symmetric one of its correlations, scaled."""
     scale = np.sqrt(np.maximum(np.diagonal(P), 1e-300))
     values, vectors = np.linalg.eigh(P / np.outer(scale, scale))
     return scale[:, None] * (vectors * np.sqrt(np.maximum(values, _SINGULAR))) @ vectors.T
-
-
-def _between(M: FloatArray, P: FloatArray) -> FloatArray:
-    """Return B with ``B M B^T = P``: the geometric mean of P and the inverse of M, (d, d)."""
-    root = np.linalg.cholesky(regular(M))
-    # P # M^-1 = L^-T (L^T P L)^1/2 L^-1 with M = L L^T.
-    inner = root.T @ regular(P) @ root
-    values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
-    half = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
-    return np.linalg.solve(root.T, np.linalg.solve(root.T, half.T).T)
 
 
 def regular(P: FloatArray) -> FloatArray:

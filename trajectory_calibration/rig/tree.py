@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -23,11 +24,13 @@ from trajectory_calibration.rig.noise import (
     SensorNoise,
     white_and_drift,
 )
+from trajectory_calibration.rig.observed import drawn_near, limits_of
 from trajectory_calibration.rig.shared_noise import (
     carried_to_stated,
-    guessed_covariance,
-    in_axes_of_parents,
+    correlations,
+    guessed_correlations,
     joint_covariance,
+    ROUNDING,
 )
 from trajectory_calibration.rig.windows import (
     CLOCK,
@@ -74,6 +77,8 @@ class Tree:
     scales, scale_stds : (S,), metres of the base per metre of the sensor.
     answers : (P, 4, 4), in metres of the base.
     C : (P, 6, P, 6), joint covariance of the answers.
+    start : (S, 4, 4), sensors in the base, roughly.
+    limits : (6,), deviations from which a direction is open.
     levels, noise, grid : what the common windows say, or nothing without trajectories.
     sensor_noise : (S,), or nothing.
 
@@ -87,6 +92,7 @@ class Tree:
     answers: FloatArray
     C: FloatArray
     start: FloatArray
+    limits: FloatArray
     levels: tuple[Level, ...] = ()
     noise: FloatArray | None = None
     grid: Grid | None = None
@@ -103,7 +109,8 @@ class Tree:
         """Return consistent poses, in which the ``doubted`` sensors have no say about others."""
         trust = np.array([
             not doubted & {pair.parent, pair.child} for pair in self.pairs], dtype=np.bool_)
-        return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trust)
+        return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trust,
+                    limits=self.limits)
 
 
 def build_tree(
@@ -111,7 +118,7 @@ def build_tree(
     pairs: Sequence[Pair],
     trajectories: Mapping[str, Trajectory],
     free_scale: Sequence[bool],
-    max_gap_ns: int,
+    settings: CalibrationConfig,
 ) -> Tree:
     """Return the tree of sensors ``names`` (the base first), which ``pairs`` connect.
 
@@ -121,7 +128,6 @@ def build_tree(
     sensors = len(names)
     stated = np.stack([_stated(pair.result) for pair in pairs])
     raw = np.stack([pair.result.T_a_b for pair in pairs])
-    start = spanning_start(sensors, ends, raw, stated)
     epoch_ns = _epoch(trajectories, names, pairs)
     given = np.eye(len(pairs))
     clocks = _clocks(sensors, pairs, given * _CLOCK_STD_S**2, epoch_ns)
@@ -129,14 +135,15 @@ def build_tree(
     scales = np.exp(fuse_numbers(
         sensors, ends, logs, np.diag(np.where(logs == 0.0, _KNOWN_SCALE**2, 1.0)))[0])
     answers, stated = _in_base_metres(raw, stated, scales, ends)
-    start = spanning_start(sensors, ends, answers, stated)
+    limits = limits_of(settings)
+    answers, stated, start = _near_each_other(answers, stated, ends, sensors, limits)
     levels: list[Level] = []
     grid = None
     if all(name in trajectories for name in names):
         grid = common_grid([
             _carried(trajectories[name], clock, scale, X)
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
-            max_gap_ns)
+            round(settings.max_gap * 1e9))
         levels = levels_of(grid)
     log_scale_stds = np.array([log_scale_std_of(pair.result) for pair in pairs])
     if len(levels) < _FEWEST_LEVELS:
@@ -145,13 +152,15 @@ def build_tree(
         stds = scales * np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
         stds[stds < _ROUNDING] = 0.0
         return Tree(tuple(names), tuple(pairs), clocks, scales, stds, answers,
-                    guessed_covariance(stated, start, ends), start)
+                    carried_to_stated(guessed_correlations(stated, start, ends), stated, start,
+                                      ends), start, limits)
     squares, counts = pair_squares(levels)
     variances = sensor_variances(
         squares, counts, np.linalg.norm(start[:, :3, 3], axis=1))
     noise = covariances(variances, start)
     M = joint_covariance(levels, noise, ends, free_scale)
-    C = carried_to_stated(in_axes_of_parents(M[:, TWIST][:, :, :, TWIST], start, ends), stated)
+    C = carried_to_stated(
+        correlations(M[:, TWIST][:, :, :, TWIST]), stated, start, ends)
     # The solvers state more or less than the windows have: clocks and scales follow them.
     clocks = _clocks(sensors, pairs, _raised(
         M[:, CLOCK, :, CLOCK], np.array([offset_std_of(pair.result) for pair in pairs])), epoch_ns)
@@ -165,7 +174,8 @@ def build_tree(
     scales[unit], stds[unit] = 1.0, 0.0
     step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9 if grid is not None else 1.0
     return Tree(
-        tuple(names), tuple(pairs), clocks, scales, stds, answers, C, start, tuple(levels),
+        tuple(names), tuple(pairs), clocks, scales, stds, answers, C, start, limits,
+        tuple(levels),
         noise, grid, tuple(white_and_drift(levels, variances, step_s)))
 
 
@@ -200,7 +210,8 @@ def _of_base(sensors: int, pairs: Sequence[Pair], stds: FloatArray) -> FloatArra
 
 
 def _stated(result: CalibrationResult) -> FloatArray:
-    return np.eye(6) if result.covariance is None else np.asarray(result.covariance)
+    P = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
+    return P + np.diag(ROUNDING**2)
 
 
 def _in_base_metres(
@@ -213,6 +224,22 @@ def _in_base_metres(
         P[p, :3] *= scales[i]
         P[p, :, :3] *= scales[i]
     return answers, P
+
+
+def _near_each_other(
+    answers: FloatArray, stated: FloatArray, ends: Sequence[tuple[int, int]], sensors: int,
+    limits: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return answers, covariances and (S, 4, 4) sensors that agree in what is open."""
+    answers, stated = answers.copy(), stated.copy()
+    for p, T in enumerate(answers):
+        turned = se3.from_rotation_translation(T[:3, :3], np.zeros(3))
+        answers[p], stated[p] = drawn_near(T, stated[p], turned, limits)
+    start = spanning_start(sensors, ends, answers, stated)
+    for p, (i, j) in enumerate(ends):
+        between = se3.inverse(start[i]) @ start[j]
+        answers[p], stated[p] = drawn_near(answers[p], stated[p], between, limits)
+    return answers, stated, start
 
 
 def _carried(

@@ -1,0 +1,73 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Which directions have a say: what the motion leaves open agrees with anything.
+
+A direction is open where its standard deviation is above the limit beyond which a result calls it
+unobserved. Metres and radians are compared in units of these limits, and directions are those of
+a covariance (its eigenvectors), not axes: the height of a tilted sensor is no axis of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.geometry import chi_squared, se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Variance relative to that of the limits which is rounding.
+_ROUNDING = 1e-16
+
+
+def limits_of(config: CalibrationConfig) -> FloatArray:
+    """Return (6,) standard deviations, metres and radians, from which a direction is open."""
+    return np.repeat([max(config.unobserved_translation, 1e-3),
+                      max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
+
+
+def misfit(error: FloatArray, V: FloatArray, limits: FloatArray) -> tuple[float, int]:
+    """Return chi-squared of (n,) errors along the observed directions, and how many these are.
+
+    ``V`` (n, n) is the covariance of the errors, ``limits`` (n,) or (6,), then repeated.
+    """
+    if not len(error):
+        return 0.0, 0
+    rows = whitener(V, limits)
+    return float(np.sum((rows @ error)**2)), len(rows)
+
+
+def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the (k, n) rows K along observed directions with ``K V K^T = 1``; as ``misfit``."""
+    unit = np.tile(limits, len(V) // len(limits))
+    values, vectors = np.linalg.eigh(0.5 * (V + V.T) / np.outer(unit, unit))
+    known = values < 1.0
+    floor = _ROUNDING * max(float(values[-1]), 1.0)
+    rows: FloatArray = (vectors[:, known] / np.sqrt(np.maximum(values[known], floor))).T / unit
+    return rows
+
+
+def probability(value: float, degrees: int) -> float:
+    """Return how often chance exceeds a chi-squared; 1 without degrees of freedom."""
+    if degrees <= 0 or not np.isfinite(value):
+        return 1.0
+    return chi_squared.exceedance(value, degrees)
+
+
+def drawn_near(
+    T: FloatArray, P: FloatArray, near: FloatArray, limits: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return an answer (4, 4) that is as close to another as its open directions let it be.
+
+    Where an answer lies along an open direction means nothing, and may be hundreds of metres off.
+    An open direction is as sure as the rotations are: what these leave of the way that the answer
+    is moved is added to its (6, 6) covariance, which is returned beside it.
+    """
+    values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
+    free = vectors[:, values >= 1.0]
+    if not free.shape[1]:
+        return T, P
+    way = limits * (free @ (free.T @ (se3.step_between(near, T) / limits)))
+    swung = se3.skew(way[:3])
+    wider = P.copy()
+    wider[:3, :3] += swung @ P[3:, 3:] @ swung.T
+    return se3.moved(T, -way), wider
