@@ -24,6 +24,7 @@ from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_y
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
+from trajectory_calibration.outputs.placement import kept_back
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.pipeline import calibrate
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         _write(result, truth, arguments.output)
         written.append(arguments.output)
-        if _is_kept_back(result):
+        if kept_back(result):
             print(f'no exports: {", ".join(result.observability.unobserved)} unknown; export '
                   f'{arguments.output / RESULT_FILE} --allow-unobserved writes them',
                   file=sys.stderr)
@@ -115,7 +116,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
-        if _is_kept_back(result):
+        if kept_back(result):
             return
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
         if result.frame_a != result.frame_b:
@@ -127,11 +128,6 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         ) from error
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
-
-
-def _is_kept_back(result: CalibrationResult) -> bool:
-    """Tell whether other tools would take an arbitrary number for the answer."""
-    return bool(result.observability.unobserved) and not result.config.allow_unobserved
 
 
 def serious_lines(result: CalibrationResult) -> list[str]:

@@ -9,11 +9,11 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli import exit_status
-from trajectory_calibration.errors import ConfigError, MotionError, ResultError
+from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.placement import Placement, require_observed
+from trajectory_calibration.outputs.placement import kept_back, Placement
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -62,14 +62,11 @@ def run(arguments: argparse.Namespace) -> int:
     exporter = EXPORTS[arguments.format]
     result = CalibrationResult.load(arguments.result)
     item = _placed(Placement.of(result), arguments)
-    if not arguments.allow_unobserved:
-        try:
-            require_observed(
-                result, 'exported', 'Calibrate with a ramp or a prior; or export an arbitrary '
-                'number with --allow-unobserved')
-        except MotionError as error:
-            print(f'error: {error}', file=sys.stderr)
-            return exit_status.OPEN
+    unknown = kept_back(result)
+    if unknown and not arguments.allow_unobserved:
+        print(f'error: not exported: {unknown} unobservable. Calibrate with a ramp or a prior; or '
+              'export an arbitrary number with --allow-unobserved', file=sys.stderr)
+        return exit_status.OPEN
     if arguments.output is None:
         if exporter.is_binary:
             raise ConfigError(f'{arguments.format} is binary; give a file with --output')

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import re
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import CalibrationError
+from trajectory_calibration.errors import CalibrationError, MotionError
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.overlay import make_overlay, Overlay
 from trajectory_calibration.online.track import Track
-from trajectory_calibration.outputs.placement import require_observed
+from trajectory_calibration.outputs.placement import kept_back
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -48,7 +48,10 @@ class CalibrationJob:
         try:
             a, b = self.track_a.trajectory(), self.track_b.trajectory()
             result = calibrate(a, b, self.config)
-            require_observed(result, 'published', _way_out(result))
+            unknown = kept_back(result)
+            if unknown:
+                raise MotionError(
+                    f'not published: {unknown} unobservable. {_way_out(result)}')
             return Calibration(result, make_overlay(a, b, result))
         except CalibrationError as error:
             # What was refused may be why.

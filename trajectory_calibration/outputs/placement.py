@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajectory_calibration.errors import ConfigError, counted, MotionError
+from trajectory_calibration.errors import ConfigError, counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
@@ -97,17 +97,13 @@ class Placement:
         return carried
 
 
-def require_observed(result: CalibrationResult, done: str, way_out: str) -> None:
-    """Refuse to hand on an answer of which a direction is an arbitrary number.
+def kept_back(result: CalibrationResult) -> str:
+    """Return what of an answer is an arbitrary number that must not go out, or ''.
 
-    Raises
-    ------
-    MotionError
-        Neither the motion nor a prior determines a direction, and ``allow_unobserved`` is not
-        set: 'not exported: z of camera in lidar is unknown. <way_out>'.
-
+    'y, z of camera in lidar': neither the motion nor a prior determines it, and
+    ``allow_unobserved`` is not set.
     """
-    open_ = result.observability.unobserved
-    if open_ and not result.config.allow_unobserved:
-        raise MotionError(f'not {done}: {", ".join(open_)} of {result.frame_b} in '
-                          f'{result.frame_a} unobservable. {way_out}')
+    unobserved = result.observability.unobserved
+    if not unobserved or result.config.allow_unobserved:
+        return ''
+    return f'{", ".join(unobserved)} of {result.frame_b} in {result.frame_a}'

@@ -92,7 +92,9 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> str:
                 name='standard deviation against driving time', x_label='driven, s',
                 y_label=f'{unit_of(columns[0])}, standard deviation')
     if low < limit < high:
-        plot.horizontal(limit, 'need', 'weak above', at_left=True)
+        # At the end where the curves are not.
+        plot.horizontal(
+            limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
     for k in columns:
         plot.line(parts.growth_s, parts.growth_std[:, k], f'line-{"xyz"[k % 3]}')
     return plot.svg()

@@ -23,15 +23,18 @@ def style() -> str:
     return _asset('page.css').replace('FORMAT_RULES', f'{chosen}{{display:block}}')
 
 
-def page(title: str, sections: str, *, navigation: tuple[str, ...] = (), made_by: str = '') -> str:
+def page(
+    title: str, sections: str, *, navigation: tuple[str, ...] = (), made_by: str = '',
+    scripts: tuple[str, ...] = ('page.js', 'view3d.js'),
+) -> str:
     """Return a whole page."""
     links = ''.join(f'<a href="#s{k}">{k} {escape(name)}</a>'
                     for k, name in enumerate(navigation, 1))
+    script = f'<script>{"".join(map(_asset, scripts))}</script>' if scripts else ''
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f'<meta name="generator" content="{escape(made_by)}"><title>{escape(title)}</title>'
-        f'<link rel="icon" href="data:,"><style>{style()}</style></head><body><main>'
+        f'<link rel="icon" href="data:,"/><style>{style()}</style></head><body><main>'
         f'<header class="top"><span>Extrinsic calibration report</span><nav>{links}</nav>'
-        f'</header>{sections}</main>'
-        f'<script>{_asset("page.js")}{_asset("view3d.js")}</script></body></html>\n')
+        f'</header>{sections}</main>{script}</body></html>\n')

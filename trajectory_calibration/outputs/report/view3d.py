@@ -10,12 +10,13 @@ import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.drawings import evenly
-from trajectory_calibration.outputs.report.figures import drawing, path, ticks
+from trajectory_calibration.outputs.report.figures import Scene
 from trajectory_calibration.outputs.report.tracks import Tracks
 
 # Poses of a track that are drawn, and steps of the grid in which they are written.
 _POSES, _GRID = 900, 4000
-_WIDTH, _HEIGHT, _MARGIN = 720, 430, 24
+# Of a drawing as wide as the page.
+WIDE, HIGH = 720, 430
 _MOST_GAPS = 300
 # Jumps that are drawn, the largest.
 MOST_JUMPS = 80
@@ -72,60 +73,39 @@ def _grid(points: FloatArray, middle: FloatArray, size: float) -> list[int]:
 def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
     """Draw both tracks, upright, from above."""
     keep = _kept(tracks)
-    both = np.concatenate([a, c])[:, :2]
-    low, high = both.min(axis=0), both.max(axis=0)
-    turn = (high - low)[1] > (high - low)[0]
-    if turn:
-        # A quarter turn: what is long lies.
-        a, c, both = (np.column_stack([points[:, 1], -points[:, 0]]) for points in (a, c, both))
-        low, high = both.min(axis=0), both.max(axis=0)
-    room = np.array([_WIDTH - 2 * _MARGIN, _HEIGHT - 2 * _MARGIN])
-    pixels = float(np.min(room / np.maximum(high - low, 1e-9)))
-    middle = 0.5 * (low + high)
-
-    def place(points: FloatArray) -> FloatArray:
-        found: FloatArray = (points[:, :2] - middle) * [pixels, -pixels] + [
-            _WIDTH / 2, _HEIGHT / 2]
-        return found
-
-    parts = []
-    broken = np.isin(keep, tracks.gaps)
+    a, c = lying(a[:, :2], c[:, :2])
+    scene = Scene.around(np.concatenate([a, c]), 'both tracks from above', WIDE, HIGH)
+    # The step over a gap is dashed, and parts the pieces of the track.
+    gaps = np.flatnonzero(np.isin(keep, tracks.gaps))
+    gaps = gaps[gaps + 1 < len(keep)]
     for points, style in ((c[keep], 'line-b wide'), (a[keep], 'line-a')):
-        drawn = place(points)
-        pieces = np.split(np.arange(len(keep)), np.flatnonzero(broken) + 1)
-        data = ''.join(path(drawn[piece, 0], drawn[piece, 1]) for piece in pieces if len(piece))
-        parts.append(f'<path class="{style}" d="{data}"/>')
-        ends = np.flatnonzero(broken)
-        ends = ends[ends + 1 < len(keep)]
-        if len(ends):
-            data = ''.join(path(drawn[[k, k + 1], 0], drawn[[k, k + 1], 1]) for k in ends)
-            parts.append(f'<path class="{style} dashed" d="{data}"/>')
-    for px, py in place(c[tracks.largest_jumps(MOST_JUMPS)]):
-        parts.append(f'<circle class="jump" cx="{px:.1f}" cy="{py:.1f}" r="3.4"/>')
-    (px, py), = place(a[:1])
-    parts.append(f'<circle class="start" cx="{px:.1f}" cy="{py:.1f}" r="5"/>'
-                 f'<text class="note" x="{px + 8:.1f}" y="{py - 6:.1f}">start</text>')
-    length = float(ticks(0.0, 0.3 * _WIDTH / pixels, 2)[-1])
-    words = f'{length:g} m' if length >= 1 else f'{1e3 * length:g} mm'
-    parts.append(f'<path class="axis" d="M12 {_HEIGHT - 16}v5h{length * pixels:.1f}v-5"/>'
-                 f'<text class="note" x="14" y="{_HEIGHT - 20}">{words}</text>')
-    return drawing(_WIDTH, _HEIGHT, 'both tracks from above', ''.join(parts))
+        broken = np.full((len(gaps), 2), np.nan)
+        scene.line(np.insert(points, gaps + 1, broken, axis=0), style)
+        if len(gaps):
+            over = np.stack([points[gaps], points[gaps + 1], broken], axis=1)
+            scene.line(over.reshape(-1, 2), f'{style} dashed')
+    for point in c[tracks.largest_jumps(MOST_JUMPS)]:
+        scene.dot(point, 3.4, 'jump')
+    scene.dot(a[0], 5, 'start')
+    x, y = scene.place(a[0])
+    scene.text(x + 8, y - 6, 'start')
+    scene.scale_bar()
+    return scene.svg()
+
+
+def lying(*tracks: FloatArray) -> list[FloatArray]:
+    """Return (N, 2) tracks, all with a quarter turn where they are higher than wide."""
+    width, height = np.ptp(np.concatenate(tracks), axis=0)
+    return [np.column_stack([points[:, 1], -points[:, 0]]) if height > width else points
+            for points in tracks]
 
 
 def single_track(positions: FloatArray, style: str) -> str:
     """Draw one track along the two axes in which it is longest."""
     axes, turned = upright(positions)
     points = (positions[evenly(len(positions), _POSES)] @ turned.T)[:, :2]
-    low, high = points.min(axis=0), points.max(axis=0)
-    width, height, margin = 360, 240, 18
-    room = np.array([width - 2 * margin, height - 2 * margin])
-    pixels = float(np.min(room / np.maximum(high - low, 1e-9)))
-    drawn = (points - 0.5 * (low + high)) * [pixels, -pixels] + [width / 2, height / 2]
-    names = f'{axes[0]} to the right, {axes[1]} up'
-    length = float(ticks(0.0, 0.3 * width / pixels, 2)[-1])
-    return drawing(width, height, f'track, {names}', (
-        f'<path class="{style}" d="{path(drawn[:, 0], drawn[:, 1])}"/>'
-        f'<circle class="start" cx="{drawn[0, 0]:.1f}" cy="{drawn[0, 1]:.1f}" r="4"/>'
-        f'<text class="unit" x="2" y="11">{names}</text>'
-        f'<path class="axis" d="M6 {height - 8}v4h{length * pixels:.1f}v-4"/>'
-        f'<text class="note" x="10" y="{height - 10}">{length:g} m</text>'))
+    scene = Scene.around(points, 'track', 360, 240, margin=18)
+    scene.line(points, style)
+    scene.dot(points[0], 4, 'start')
+    scene.legend(axes[0], axes[1])
+    return scene.svg()
