@@ -14,13 +14,17 @@ TRANSLATION, ROTATION = slice(0, 3), slice(3, 6)
 # Below this squared angle the series of ``log`` is exact to rounding of what is noise anyway.
 _SMALL = 0.03
 
+# The elements of a flat rotation whose differences are twice the axis times the sine.
+_LOWER, _UPPER = np.array([7, 2, 3]), np.array([5, 6, 1])
+_IDENTITY = np.eye(3)
+
 # What a matrix of unit diagonal does not know better than this.
 _ROUNDING = 1e-13
 
 
 def transposed(matrices: FloatArray) -> FloatArray:
     """Return (..., k, j) of (..., j, k)."""
-    return np.swapaxes(matrices, -1, -2)
+    return matrices.swapaxes(-1, -2)
 
 
 def apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
@@ -31,30 +35,30 @@ def apply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
 
 def exp(vectors: FloatArray) -> FloatArray:
     """Return (n, 3, 3) rotations of (n, 3) rotation vectors."""
-    square = (vectors**2).sum(axis=-1)[..., None, None]
-    angle = np.sqrt(square)
-    small = square < 1e-8
-    safe = np.where(small, 1.0, angle)
+    square = np.einsum('...i,...i->...', vectors, vectors)[..., None, None]
+    # Not quite zero, where sin(half) / half is one and not zero over zero.
+    half = np.maximum(0.5 * np.sqrt(square), 1e-150)
+    share = np.sin(half) / half
     hat = skew(vectors)
-    first = np.where(small, 1 - square / 6, np.sin(safe) / safe)
-    second = np.where(small, 0.5 - square / 24, (1 - np.cos(safe)) / safe**2)
-    result: FloatArray = np.eye(3) + first * hat + second * (hat @ hat)
+    result: FloatArray = (share * np.cos(half)) * hat
+    hat = hat @ hat
+    hat *= 0.5 * share**2
+    result += hat
+    result += _IDENTITY
     return result
 
 
 def log(rotations: FloatArray) -> FloatArray:
     """Return (n, 3) rotation vectors of (n, 3, 3) rotations; fast where all are small."""
-    half = 0.5 * np.stack([
-        rotations[..., 2, 1] - rotations[..., 1, 2],
-        rotations[..., 0, 2] - rotations[..., 2, 0],
-        rotations[..., 1, 0] - rotations[..., 0, 1]], axis=-1)
-    square = (half**2).sum(axis=-1)
-    trace = np.trace(rotations, axis1=-2, axis2=-1)
-    if len(square) and (square.max() > _SMALL or trace.min() < 1.0):
+    flat = rotations.reshape(-1, 9)
+    half = 0.5 * (flat[:, _LOWER] - flat[:, _UPPER])
+    square = np.einsum('ni,ni->n', half, half)
+    if len(square) and (square.max() > _SMALL
+                        or (flat[:, 0] + flat[:, 4] + flat[:, 8]).min() < 1.0):
         return log_so3(rotations)
     # arcsin(s) / s = 1 + s^2 / 6 + 3 s^4 / 40 + 15 s^6 / 336 + ...
     series = 1 + square * (1 / 6 + square * (3 / 40 + square * (15 / 336 + square * 35 / 1152)))
-    result: FloatArray = half * series[..., None]
+    result: FloatArray = half * series[:, None]
     return result
 
 
@@ -65,16 +69,6 @@ def adjoint_of_inverse(rotations: FloatArray, translations: FloatArray) -> Float
     result[:, TRANSLATION, TRANSLATION] = back
     result[:, ROTATION, ROTATION] = back
     result[:, TRANSLATION, ROTATION] = -back @ skew(translations)
-    return result
-
-
-def running_product(rotations: FloatArray) -> FloatArray:
-    """Return (n, 3, 3): R_0, R_0 R_1, R_0 R_1 R_2, ..., in log2(n) sweeps."""
-    result = rotations.copy()
-    reach = 1
-    while reach < len(result):
-        result[reach:] = result[:-reach] @ result[reach:]
-        reach *= 2
     return result
 
 

@@ -105,7 +105,7 @@ def fit(
     last_rho = _LAST_RHO if before is None else _LAST_RHO_AGAIN
     jumps = _breaks(drive, state)
     cut = _cuts(jumps)
-    tree = plan(cut)
+    tree = plan(cut, drive.R_b)
     weights = np.ones(len(tree.octave))
     noise = first_noise(drive, state, tree.octaves, cut)
     if before is not None:
@@ -115,7 +115,7 @@ def fit(
             jumps = _breaks(drive, state)
             if (_cuts(jumps) != cut).any():
                 cut = _cuts(jumps)
-                tree = plan(cut)
+                tree = plan(cut, drive.R_b)
                 weights = np.ones(len(tree.octave))
                 noise = noise.resized(tree.octaves)
         prior = prior_precision(state.terms, modes)

@@ -50,7 +50,6 @@ class Octaves:
     n : (o,) contrasts.
     score : (o, 12) sum of ``J' V^-1 d``, weighted.
     each : (n, 12) of every contrast, in the order of the plan.
-    of : (n,) the octave of each, as an index into the others.
     Q : (o, 12, 12), what of a score is no noise.
     A : (o, 12, 12), ``H~ H^-1 H~``, the information of an octave.
     squares : (o,) ``s' H^-1 s``.
@@ -62,7 +61,6 @@ class Octaves:
     n: FloatArray
     score: FloatArray
     each: FloatArray
-    of: FloatArray
     Q: FloatArray
     A: FloatArray
     squares: FloatArray
@@ -85,9 +83,10 @@ class Octaves:
 
 def scores(tree: Plan, found: Contrasts, weights: FloatArray) -> Octaves:
     """Sum up what the contrasts of each octave tell."""
-    whitened = found.inverse @ found.J
-    each = weights[:, None] * apply(transposed(whitened), found.d)
-    H = np.add.reduceat((weights[:, None, None] * transposed(whitened)) @ found.J, tree.first)
+    whitened = weights[:, None, None] * (found.inverse @ found.J)
+    each = np.einsum('nij,ni->nj', whitened, found.d)
+    H = np.stack([whitened[part].reshape(-1, PARAMETERS).T @ found.J[part].reshape(-1, PARAMETERS)
+                  for part in tree.parts])
     n = np.diff(np.append(tree.first, len(tree.octave))).astype(np.float64)
     in_regressors = np.add.reduceat(_from_regressors(found, weights), tree.first)
     scale = np.sqrt(np.einsum('oii->oi', H))
@@ -107,7 +106,6 @@ def scores(tree: Plan, found: Contrasts, weights: FloatArray) -> Octaves:
     half = back @ signal
     return Octaves(
         n=n, score=score, each=each,
-        of=np.repeat(np.arange(len(n)), n.astype(np.intp)),
         Q=half @ transposed(to), A=half @ transposed(half),
         squares=(apply(transposed(to), score)**2).sum(axis=1),
         rank=seen.sum(axis=1).astype(np.float64), normal=H.sum(axis=0))
@@ -118,7 +116,7 @@ def _from_regressors(found: Contrasts, weights: FloatArray) -> FloatArray:
 
     Half of the noise of a contrast is of b, and turns and shifts the axes that J is told in.
     """
-    V, inverse = ([np.trace(M[:, part, part], axis1=1, axis2=2) / 3 for part in
+    V, inverse = ([np.einsum('nii->n', M[:, part, part]) / 3 for part in
                    (TRANSLATION, ROTATION)] for M in (found.V, found.inverse))
     result = np.zeros((len(weights), PARAMETERS))
     result[:, ROTATION] = (weights * V[1] * inverse[1])[:, None]

@@ -19,11 +19,12 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers.drift_aware.algebra import apply
+from trajectory_calibration.solvers.drift_aware.algebra import transposed
 from trajectory_calibration.solvers.drift_aware.drive import Drive, PARAMETERS
 from trajectory_calibration.solvers.drift_aware.octaves import Octaves
 from trajectory_calibration.solvers.drift_aware.tree import Plan
 
+# The largest is a multiple of the others.
 BLOCKS = (20, 10, 5)
 
 # phi of data better than their model is not trusted below this.
@@ -42,14 +43,17 @@ def scatter(
     drive: Drive, tree: Plan, octaves: Octaves, c: FloatArray, rho: float, W: FloatArray,
 ) -> list[FloatArray]:
     """Return the whitened (12, 12) middle of the sandwich for each number of blocks."""
-    Q = c[:, None, None] * octaves.Q
-    each = apply((W.T @ Q)[octaves.of], octaves.each)
+    Q = transposed(W.T @ (c[:, None, None] * octaves.Q))
+    each = np.concatenate([octaves.each[part] @ own for part, own in zip(
+        tree.parts, Q, strict=True)])
     correlated = W.T @ np.tensordot(c**2 * octaves.n * rho**2, octaves.A, axes=1) @ W
     share = drive.times[tree.boundary] / max(drive.times[-1], 1e-300)
+    most = max(BLOCKS)
+    of = np.minimum((share * most).astype(np.intp), most - 1)
+    shortest = np.stack([np.bincount(of, column, most) for column in each.T], axis=-1)
     result = []
     for blocks in BLOCKS:
-        of = np.minimum((share * blocks).astype(np.intp), blocks - 1)
-        sums = np.stack([np.bincount(of, column, blocks) for column in each.T], axis=-1)
+        sums = shortest.reshape(blocks, -1, PARAMETERS).sum(axis=1)
         sums -= sums.mean(axis=0)
         result.append(sums.T @ sums * blocks / (blocks - 1) + correlated)
     return result

@@ -12,7 +12,7 @@ estimates (Z_1, P_1) and (Z_2, P_2) of their worlds tell one *contrast*,
 
 seen at the body between them, and merge to one estimate as a Kalman filter would:
 
-    G = (P_1 + D/2) V^-1,   Z = Z_1 exp(G d),   P = (1 - G)(P_1 + D/2)(1 - G)' + G (P_2 + D/2) G'.
+    G = (P_1 + D/2) V^-1,   Z = Z_1 exp(G d),   P = G (P_2 + D/2).
 
 Contrasts are independent, so that ``sum log det V + d' V^-1 d`` is -2 log likelihood. With D = 0
 it is that of one world for all poses (robot-world hand-eye calibration, ``A X = Z B``); noise
@@ -28,6 +28,7 @@ doi:10.1109/5.241506 (why contrasts of dyadic windows decorrelate such noise).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
 
 Indices = NDArray[np.intp]
 _IDENTITY = np.eye(6)
+_DIAGONAL = np.arange(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,20 +65,19 @@ class Level:
 
     Attributes
     ----------
-    left, right : (n,) the nodes that merge.
+    merging : (2 n,) the nodes that merge, all left ones, then all right ones.
     kept : (nodes,) bool, which go on: those merged into, and one without a neighbour.
     merged : (n,) where the merged are among the kept.
-    boundary : (n,) the first pose of the right window.
-    octave : (n,) log2 of the poses of the shorter one.
+    rows : where its contrasts are among those of all rounds.
+    moves : where its moves are among those of all rounds.
 
     """
 
-    left: Indices
-    right: Indices
+    merging: Indices
     kept: NDArray[np.bool_]
     merged: Indices
-    boundary: Indices
-    octave: Indices
+    rows: slice
+    moves: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +87,23 @@ class Plan:
     Attributes
     ----------
     levels : the rounds.
+    body, pose : (m,) the moves of all rounds: the pose of b at which a world was seen so far,
+        and the boundary at which it is to be seen.
+    turn : (m, 3, 3) how b turned from there to there.
+    back_body, back_pose : (m, 3, 3) the world of b as it is seen there.
     order : (n,) from the order of the rounds to that of the octaves.
-    boundary, octave : (n,) of every contrast, in that order.
+    boundary, octave : (n,) of every contrast, in that order: the first pose of the right window,
+        and log2 of the poses of the shorter one.
     first : (octaves,) where the contrasts of each octave begin.
 
     """
 
     levels: tuple[Level, ...]
+    body: Indices
+    pose: Indices
+    turn: FloatArray
+    back_body: FloatArray
+    back_pose: FloatArray
     order: Indices
     boundary: Indices
     octave: Indices
@@ -103,12 +114,24 @@ class Plan:
         """Return how many octaves there may be."""
         return int(self.octave[-1]) + 1
 
+    @property
+    def parts(self) -> list[slice]:
+        """Return where the contrasts of each octave are, those without any left out."""
+        edges = [*self.first.tolist(), len(self.octave)]
+        return [slice(*ends) for ends in pairwise(edges)]
 
-def plan(cut: NDArray[np.bool_]) -> Plan:
-    """Return the tree: windows between the (N - 1,) cuts first, then across them."""
+
+def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
+    """Return the tree: windows between the (N - 1,) cuts first, then across them.
+
+    ``R_b`` are the (N, 3, 3) attitudes of b.
+    """
     stretch = np.concatenate([[0], np.cumsum(cut)])
     first, end = np.arange(len(stretch)), np.arange(len(stretch)) + 1
-    levels = []
+    seen_at = first.copy()
+    levels: list[Level] = []
+    boundaries, octaves, bodies, poses = [], [], [], []
+    row = move = 0
     while len(first) > 1:
         group = stretch[first]
         begins = np.flatnonzero(np.concatenate([[True], group[1:] != group[:-1]]))
@@ -120,16 +143,27 @@ def plan(cut: NDArray[np.bool_]) -> Plan:
         left, kept = right - 1, ~odd
         boundary = first[right]
         shorter = np.minimum(boundary - first[left], end[right] - boundary)
-        levels.append(Level(left, right, kept, (np.cumsum(kept) - 1)[left], boundary,
-                            np.floor(np.log2(shorter) + 0.5).astype(np.intp)))
-        end[left] = end[right]
-        first, end = first[kept], end[kept]
-    octave = np.concatenate([level.octave for level in levels])
-    boundary = np.concatenate([level.boundary for level in levels])
+        merging = np.concatenate([left, right])
+        # In the first round the right ones are single poses, seen where they are.
+        moving = merging if levels else left
+        bodies.append(seen_at[moving])
+        poses.append(np.resize(boundary, len(moving)))
+        levels.append(Level(
+            merging, kept, (np.cumsum(kept) - 1)[left],
+            slice(row, row + len(left)), slice(move, move + len(moving))))
+        row, move = row + len(left), move + len(moving)
+        boundaries.append(boundary)
+        octaves.append(np.floor(np.log2(shorter) + 0.5).astype(np.intp))
+        end[left], seen_at[left] = end[right], boundary
+        first, end, seen_at = first[kept], end[kept], seen_at[kept]
+    boundary, octave, body, pose = map(np.concatenate, (boundaries, octaves, bodies, poses))
     order = np.lexsort((boundary, octave))
     octave = octave[order]
     begins = np.flatnonzero(np.concatenate([[True], octave[1:] != octave[:-1]]))
-    return Plan(tuple(levels), order, boundary[order], octave, begins)
+    back_body, back_pose = (
+        np.ascontiguousarray(transposed(R_b[where])) for where in (body, pose))
+    return Plan(tuple(levels), body, pose, back_body @ R_b[pose], back_body, back_pose, order,
+                boundary[order], octave, begins)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +187,42 @@ class Contrasts:
 
 
 @dataclass(frozen=True, eq=False)
-class _Worlds:
-    """Estimates of the worlds of windows, each as the pose of b at ``body`` in the world of a.
+class _Moves:
+    """What becomes of worlds that are seen at another pose of b.
 
-    ``rest`` is (n, 6, 18): derivatives in the parameters, and the covariance P.
+    ``turn`` (m, 3, 3) and ``way`` (m, 3) are the motion of b, ``Ad`` (m, 6, 6) is the adjoint of
+    its inverse, ``by_terms`` (m, 3, 5) are its derivatives.
     """
 
-    body: Indices
+    turn: FloatArray
+    way: FloatArray
+    Ad: FloatArray
+    by_terms: FloatArray
+
+    @classmethod
+    def of(cls, at: Corrected, tree: Plan) -> _Moves:
+        """Return all moves of a tree at once."""
+        way, by_terms = (values[tree.pose] - values[tree.body] for values in (
+            at.p_b, at.by_terms))
+        way = apply(tree.back_body, way)
+        return cls(tree.turn, way, adjoint_of_inverse(tree.turn, way), tree.back_pose @ by_terms)
+
+
+@dataclass(frozen=True, eq=False)
+class _Worlds:
+    """Estimates of the worlds of windows, each as the pose of b in the world of a.
+
+    ``J`` (n, 6, 12) are the derivatives in the parameters, ``P`` (n, 6, 6) is the covariance.
+    """
+
     R: FloatArray
     p: FloatArray
-    rest: FloatArray
+    J: FloatArray
+    P: FloatArray
+
+    def picked(self, nodes: Indices | NDArray[np.bool_] | slice) -> _Worlds:
+        """Return some of them."""
+        return _Worlds(self.R[nodes], self.p[nodes], self.J[nodes], self.P[nodes])
 
 
 def contrast(
@@ -183,77 +243,73 @@ def contrast(
 
     """
     at = correct(drive, state)
-    N = len(drive)
-    rest = np.zeros((N, 6, PARAMETERS + 6))
-    rest[:, :, :6] = _IDENTITY
-    rest[:, :, OFFSET] = at.by_offset
-    rest[:, :, PARAMETERS:] = white
-    worlds = _Worlds(np.arange(N), at.R_ax, at.p_ax, rest)
-    trusted = np.empty(len(weights))
-    trusted[tree.order] = np.minimum(weights, 1.0)
-    parts = []
-    begin = 0
+    N, n = len(drive), len(tree.octave)
+    J = np.zeros((N, 6, PARAMETERS))
+    J[:, :, :6] = _IDENTITY
+    J[:, :, OFFSET] = at.by_offset
+    worlds = _Worlds(at.R_ax, at.p_ax, J, np.broadcast_to(white, (N, 6, 6)))
+    moves = _Moves.of(at, tree)
+    # All in the order of the rounds.
+    noise, trusted = np.zeros((n, 6, 6)), np.empty((n, 1, 1))
+    variance = walk[tree.octave] + jumps[tree.boundary - 1]
+    noise[tree.order[:, None], _DIAGONAL, _DIAGONAL] = np.repeat(variance, 3, axis=1)
+    trusted[tree.order, 0, 0] = np.minimum(weights, 1.0)
+    d, J, V, inverse = (np.empty((n, 6, *columns)) for columns in (
+        (), (PARAMETERS,), (6,), (6,)))
     for level in tree.levels:
-        noise = np.repeat(walk[level.octave] + jumps[level.boundary - 1], 3, axis=1)
-        w = trusted[begin:begin + len(level.left)]
-        begin += len(level.left)
-        part, worlds = _merge(drive, at, worlds, level, noise, w)
-        parts.append(part)
-    d, J, V, inverse = (np.concatenate(values)[tree.order] for values in zip(*parts, strict=True))
+        rows = level.rows
+        worlds = _merge(moves, worlds, level, noise[rows], trusted[rows],
+                        (d[rows], J[rows], V[rows], inverse[rows]))
+    d, J, V, inverse = (values[tree.order] for values in (d, J, V, inverse))
     return Contrasts(d, J, V, inverse, (d * apply(inverse, d)).sum(axis=1))
 
 
 def _merge(
-    drive: Drive, at: Corrected, worlds: _Worlds, level: Level, noise: FloatArray, w: FloatArray,
-) -> tuple[tuple[FloatArray, ...], _Worlds]:
-    one = _seen_at(drive, at, worlds, level.left, level.boundary)
-    two = _seen_at(drive, at, worlds, level.right, level.boundary)
-    back = transposed(one.R)
-    d: FloatArray = np.concatenate(
-        [apply(back, two.p - one.p), log(back @ two.R)], axis=1)
-    J = two.rest[:, :, :PARAMETERS] - one.rest[:, :, :PARAMETERS]
-    P_1, P_2 = one.rest[:, :, PARAMETERS:], two.rest[:, :, PARAMETERS:]
-    V = P_1 + P_2
-    diagonal = np.arange(6)
-    V[:, diagonal, diagonal] += noise
-    inverse = np.asarray(np.linalg.inv(V), dtype=np.float64)
+    moves: _Moves, worlds: _Worlds, level: Level, D: FloatArray, w: FloatArray,
+    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+) -> _Worlds:
+    """Return the nodes of the next round; put the contrasts of this one into ``found``."""
+    d, J, V, inverse = found
+    n = len(d)
+    seen = _seen_at_boundary(moves, worlds, level)
+    one, two = seen.picked(slice(n)), seen.picked(slice(n, None))
+    back = np.ascontiguousarray(transposed(one.R))
+    d[:, TRANSLATION], d[:, ROTATION] = apply(back, two.p - one.p), log(back @ two.R)
+    np.subtract(two.J, one.J, out=J)
+    np.add(one.P, two.P, out=V)
+    V += D
+    inverse[:] = np.linalg.inv(V)
     # A contrast that is an outlier says that its worlds are further apart: D grows.
-    own = 0.5 * ((1 / w - 1)[:, None, None] * V)
-    own[:, diagonal, diagonal] += 0.5 * noise
-    P_1 = P_1 + own
-    G = P_1 @ (w[:, None, None] * inverse)
-    stay = _IDENTITY - G
+    own = 0.5 * ((1 / w - 1) * V + D)
+    G = (one.P + own) @ (w * inverse)
+    P = G @ (two.P + own)
     step = apply(G, d)
-    P = stay @ P_1 @ transposed(stay) + G @ (P_2 + own) @ transposed(G)
     merged = _Worlds(
-        level.boundary, one.R @ exp(step[:, ROTATION]), one.p + apply(one.R, step[:, TRANSLATION]),
-        np.concatenate([one.rest[:, :, :PARAMETERS] + G @ J, 0.5 * (P + transposed(P))], axis=2))
-    return (d, J, V, inverse), _put(worlds, merged, level)
+        one.R @ exp(step[:, ROTATION]), one.p + apply(one.R, step[:, TRANSLATION]),
+        one.J + G @ J, 0.5 * (P + transposed(P)))
+    return _put(worlds, merged, level)
 
 
 def _put(worlds: _Worlds, merged: _Worlds, level: Level) -> _Worlds:
     """Return the nodes of the next round."""
-    if level.kept.sum() == len(level.merged):
+    if 2 * len(level.merged) == len(level.kept):
         return merged
-    kept = level.kept
-    body, R, p, rest = worlds.body[kept], worlds.R[kept], worlds.p[kept], worlds.rest[kept]
-    body[level.merged], R[level.merged] = merged.body, merged.R
-    p[level.merged], rest[level.merged] = merged.p, merged.rest
-    return _Worlds(body, R, p, rest)
+    result = worlds.picked(level.kept)
+    for values, own in ((result.R, merged.R), (result.p, merged.p), (result.J, merged.J),
+                        (result.P, merged.P)):
+        values[level.merged] = own
+    return result
 
 
-def _seen_at(
-    drive: Drive, at: Corrected, worlds: _Worlds, nodes: Indices, pose: Indices,
-) -> _Worlds:
-    """Return the worlds of some nodes as they are seen at other poses of b."""
-    body, R, p, rest = worlds.body[nodes], worlds.R[nodes], worlds.p[nodes], worlds.rest[nodes]
-    if (body == pose).all():
-        return _Worlds(pose, R, p, rest)
-    back = transposed(drive.R_b[body])
-    turn, way = back @ drive.R_b[pose], apply(back, at.p_b[pose] - at.p_b[body])
-    Ad = adjoint_of_inverse(turn, way)
-    rest = Ad @ rest
-    rest[:, :, PARAMETERS:] = rest[:, :, PARAMETERS:] @ transposed(Ad)
-    rest[:, TRANSLATION, SCALE:LATENCY + 1] += transposed(drive.R_b[pose]) @ (
-        at.by_terms[pose] - at.by_terms[body])
-    return _Worlds(pose, R @ turn, p + apply(R, way), rest)
+def _seen_at_boundary(moves: _Moves, worlds: _Worlds, level: Level) -> _Worlds:
+    """Return the worlds of the merging nodes as they are seen at their boundaries."""
+    result = worlds.picked(level.merging)
+    own = level.moves
+    moving = slice(own.stop - own.start)
+    Ad, R = moves.Ad[own], result.R[moving]
+    result.p[moving] += apply(R, moves.way[own])
+    result.R[moving] = R @ moves.turn[own]
+    result.J[moving] = Ad @ result.J[moving]
+    result.J[moving, TRANSLATION, SCALE:LATENCY + 1] += moves.by_terms[own]
+    result.P[moving] = Ad @ result.P[moving] @ transposed(Ad)
+    return result
