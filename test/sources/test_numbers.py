@@ -3,13 +3,15 @@
 """Numbers read a block at a time are those that Python reads one by one."""
 
 from decimal import Decimal
+from pathlib import Path
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from trajectory_calibration.sources.numbers import Fields, NotANumberError
+from trajectory_calibration.sources.numbers import NotANumberError, read_columns
+from trajectory_calibration.sources.text import Table
 
 DIGITS = st.text('0123456789', max_size=21)
 
@@ -37,50 +39,52 @@ NUMBERS = (decimals() | st.floats().map(repr) | st.floats(-1e3, 1e3).map('{:.9f}
 def test_floats_are_those_of_python(words):
     rows = [words[k:k + 3] for k in range(0, len(words), 3)]
     expected = [[float(word) for word in row] for row in rows]
-    fields = Fields.separated_by_space('\n'.join(map(' '.join, rows)).encode())
-    np.testing.assert_array_equal(fields.read([0, 1, 2])[0], expected)
-    fields = Fields.separated_by_commas('\n'.join(map(' , '.join, rows)).encode() + b'\n')
-    np.testing.assert_array_equal(fields.read([2, 0])[0], np.array(expected)[:, [2, 0]])
+    values = read_columns([*map(' '.join, rows)], None, 3, [0, 1, 2]).values
+    np.testing.assert_array_equal(values, expected)
+    values = read_columns([*map(' , '.join, rows)], ',', 3, [2, 0]).values
+    np.testing.assert_array_equal(values, np.array(expected)[:, [2, 0]])
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(decimals(), min_size=1, max_size=5), st.sampled_from([0, 3, 6, 9]))
 def test_times_are_exact(words, unit):
     exact = [round(Decimal(word).scaleb(9 - unit)) for word in words]
-    fields = Fields.separated_by_space('\n'.join(words).encode())
     if max(map(abs, exact)) >= 2**63:
         with pytest.raises(NotANumberError, match='out of range'):
-            fields.read([0], 0, unit)
+            read_columns(words, None, 1, [], 0, unit)
     else:
-        assert fields.read([0], 0, unit)[1].tolist() == exact
+        assert read_columns(words, None, 1, [], 0, unit).stamps_ns.tolist() == exact
 
 
 @pytest.mark.parametrize('word', [
     'x', '1.2.3', '1-2', '--1', '1e', 'e5', '1e5e5', '1_0', '.', '-', '+', '1e+-3', '0x10', '1..2',
     '1e5.0', '1:2', '1/2', '1d3', '\xe9'])
-@pytest.mark.parametrize('read', [Fields.separated_by_space, Fields.separated_by_commas])
-def test_what_is_no_number(word, read):
-    separator = ' ' if read == Fields.separated_by_space else ','
+@pytest.mark.parametrize('separator', [' ', ','])
+def test_what_is_no_number(word, separator):
     rows = [['1', '2.5'], ['3', word], ['5', '6']]
-    fields = read('\n'.join(map(separator.join, rows)).encode())
-    with pytest.raises(NotANumberError) as caught:
-        fields.read([0, 1])
-    assert caught.value.args == (1, 1, 'is no number')
-    assert fields.word(1, 1) == word
+    lines = [*map(separator.join, rows)]
+    for columns, time in (([0, 1], None), ([0], 1)):
+        with pytest.raises(NotANumberError) as caught:
+            read_columns(lines, separator.strip() or None, 2, columns, time)
+        assert caught.value.args == (1, 1, 'is no number')
 
 
 def test_lines_of_unequal_length():
-    assert Fields.separated_by_space(b'1 2 3\n4 5\n6 7 8').tolist() == [3, 2, 3]
-    assert Fields.separated_by_commas(b'1,2,3\n4,5\n').tolist() == [3, 2]
+    for lines, separator in ((['1 2 3', '4 5', '6 7 8'], None), (['1,2,3', '4,5'], ',')):
+        with pytest.raises(ValueError, match='columns'):
+            read_columns(lines, separator, 3, [0, 1])
 
 
 def test_fields_that_are_empty_or_blank_keep_their_place():
-    fields = Fields.separated_by_commas(b'1, ,,a b,5,\r\n6,,7,, 8 ,\r\n')
-    assert (len(fields), fields.width) == (2, 5)
-    assert [fields.word(0, k) for k in range(5)] == ['1', '', '', 'a b', '5']
-    np.testing.assert_array_equal(fields.read([0, 4])[0], [[1, 5], [6, 8]])
+    table = Table.parse(Path('x'), b'1, ,,a b,5,\n6,,7,, 8 ,\n')
+    assert (len(table.line_numbers), table.width) == (2, 5)
+    np.testing.assert_array_equal(table.read_numbers([0, 4]).values, [[1, 5], [6, 8]])
+    np.testing.assert_array_equal(table.sample()[0], [1, np.nan, np.nan, np.nan, 5])
 
 
 def test_digits_after_the_point():
-    fields = Fields.separated_by_space(b'12.034\n7\n5.\n-1.5\n1.25e3\n')
-    assert fields.read([0], 0).places.tolist() == [3, 0, 0, 1, -1]
+    numbers = read_columns(['12.034', '7', '5.', '-1.5', '1.25e3', 'nan'], None, 1, [], 0)
+    assert numbers.places.tolist() == [3, 0, 0, 1, -1, 0]
+    assert numbers.finite.tolist() == [True] * 5 + [False]
+    numbers = read_columns(['7', '7.0', '7.5'], None, 1, [], 0, 9)
+    assert numbers.exact.tolist() == [True, True, False]

@@ -125,18 +125,15 @@ class FileSource:
     def _read(self) -> RawPoses:
         """Return what the file holds."""
         path = Path(self.path)
-        kind = self.file_format if self.file_format in STRUCTURED else None
-        if kind is None and self.file_format is None and path.suffix == '.npy':
-            kind = 'npy'
+        kind = self.file_format or ('npy' if path.suffix == '.npy' else None)
         if kind == 'npy':
             return self._table(ArrayTable.load(path))
         data = read_bytes(path)
-        if kind is None and self.file_format is None and self.columns is None:
+        if kind is None and self.columns is None:
             kind = structure_of(path, data[:2000])
-        if kind is None:
-            return self._table(Table.parse(path, data))
-        return {'g2o': structured.read_g2o, 'colmap': structured.read_colmap,
-                'nerfstudio': structured.read_nerfstudio}[kind](path, data)
+        read = {'g2o': structured.read_g2o, 'colmap': structured.read_colmap,
+                'nerfstudio': structured.read_nerfstudio}.get(kind or '')
+        return self._table(Table.parse(path, data)) if read is None else read(path, data)
 
     def _table(self, table: Table | ArrayTable) -> RawPoses:
         """Return the poses of a table, all rows of it."""
@@ -145,21 +142,18 @@ class FileSource:
             raise SourceError(
                 f'{self.path}: {counted(table.width, "column")}, {layout.source} needs at least '
                 f'{max(layout.pose_columns) + 1}')
-        columns = layout.pose_columns
         findings: list[Finding] = []
         raw = RawPoses(
             np.zeros((0, 7)), findings=findings, kind=counted(table.width, 'column'))
-        if layout.time is None:
-            values = table.read_numbers(columns).values
-            finite = np.ones(len(values), dtype=bool)
-        else:
-            unit = self.time_unit or layout.unit or unit_of(table.sample()[:, layout.time])
-            numbers = table.read_numbers(
-                [layout.time, *columns], layout.time, TIME_UNITS[unit])
-            values, finite = numbers.values[:, 1:], np.isfinite(numbers.values[:, 0])
+        unit = self.time_unit or layout.unit or 's'
+        if layout.time is not None and not (self.time_unit or layout.unit):
+            unit = unit_of(table.sample()[:, layout.time])
+        numbers = table.read_numbers(layout.pose_columns, layout.time, TIME_UNITS[unit])
+        values = numbers.values
+        if layout.time is not None:
+            values[~numbers.finite] = np.nan
             raw.stamps_ns = numbers.stamps_ns
-            time = numbers.values[:, 0]
-            if unit == 'ns' and (finite & (np.abs(time) < 2**53) & (time != np.rint(time))).any():
+            if unit == 'ns' and (~numbers.exact & (np.abs(raw.stamps_ns) < 2**53)).any():
                 raise SourceError(f'{self.path}: nanoseconds have no fraction; in which unit are '
                                   'the times? Say --time-unit')
             if layout.nanoseconds is not None:
@@ -176,7 +170,6 @@ class FileSource:
         if layout.number is not None:
             raw.numbers = np.rint(
                 table.read_numbers([layout.number]).values[:, 0]).astype(np.int64)
-        values[~finite] = np.nan
         raw.poses = _poses(values, layout)
         if layout.quaternion:
             self._require_unit(raw, table, layout)
@@ -197,7 +190,7 @@ class FileSource:
             if headed is not None:
                 return headed.ordered(self.quaternion_order)
             return from_numbers(
-                table.sample(), by_commas=table.by_commas, timed=self.times is not None,
+                table.sample(), by_commas=table.separator == ',', timed=self.times is not None,
                 order=self.quaternion_order)
         except SourceError as error:
             raise SourceError(f'{self.path}: {error}') from error
@@ -216,7 +209,7 @@ class FileSource:
         if wrong.any():
             k = int(np.argmax(wrong))
             raise SourceError(
-                f'{self.path}, line {table.line_number(k)}: the norm of the quaternion is '
+                f'{self.path}, line {table.line_numbers[k]}: the norm of the quaternion is '
                 f'{norm[k]:.6g}, needed 1; {table.width} columns were read as {layout.source} '
                 f'says, the quaternion in columns {min(layout.quaternion) + 1} to '
                 f'{max(layout.quaternion) + 1}. Is that right? Otherwise say --columns')
@@ -299,18 +292,19 @@ def read_transform(path: str | os.PathLike[str]) -> FloatArray:
 
     """
     table = Table.read(Path(path))
-    if len(table.fields) != 1:
+    if len(table.line_numbers) != 1:
         raise SourceError(
-            f'{path} holds {len(table.fields)} rows, needed one transform: [t] x y z qx qy qz qw')
+            f'{path} holds {len(table.line_numbers)} rows, needed one transform: '
+            '[t] x y z qx qy qz qw')
     if table.width not in (7, 8):
         raise SourceError(
-            f'{path}, line {table.line_number(0)}: {table.width} numbers, needed 7 or 8: '
+            f'{path}, line {table.line_numbers[0]}: {table.width} numbers, needed 7 or 8: '
             '[t] x y z qx qy qz qw')
     values = table.read_numbers(list(range(table.width - 7, table.width))).values[0]
     norm = float(np.linalg.norm(values[3:]))
     if not np.isfinite(values).all() or not abs(norm - 1) <= ROTATION_TOLERANCE:
         raise SourceError(
-            f'{path}, line {table.line_number(0)}: {values.tolist()} is no transform, needed '
+            f'{path}, line {table.line_numbers[0]}: {values.tolist()} is no transform, needed '
             'x y z qx qy qz qw with a quaternion of norm 1')
     return se3.from_rotation_translation(
         se3.quaternion_to_rotation(values[3:] / norm), values[:3])

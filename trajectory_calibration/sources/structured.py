@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,11 +55,12 @@ class ArrayTable:
 
     """
 
-    by_commas, complete = False, True
+    separator, complete = None, True
 
     def __init__(self, values: FloatArray) -> None:
         self.headings: list[str] = []
         self.notes: list[str] = []
+        self.line_numbers = range(1, len(values) + 1)
         self.width = values.shape[1]
         self._values = values
 
@@ -78,32 +80,26 @@ class ArrayTable:
         return cls(array)
 
     def read_numbers(
-        self, columns: list[int], time_column: int | None = None, decimals: int = 0,
+        self, columns: Sequence[int], time_column: int | None = None, decimals: int = 0,
     ) -> Numbers:
         """Return columns as ``Table.read_numbers`` does."""
-        stamps_ns = np.zeros(len(self._values), dtype=np.int64)
-        if time_column is not None:
-            time = self._values[:, time_column]
-            usable = np.abs(time) < 9.2e18 / 10 ** (9 - decimals)
-            stamps_ns[usable] = np.rint(time[usable] * 10 ** (9 - decimals)).astype(np.int64)
-        return Numbers(self._values[:, columns], stamps_ns, np.full(len(stamps_ns), -1))
+        time = np.zeros(0) if time_column is None else self._values[:, time_column]
+        scaled = time * 10 ** (9 - decimals)
+        finite = np.abs(scaled) < 9.2e18
+        stamps_ns = np.rint(np.where(finite, scaled, 0.0)).astype(np.int64)
+        return Numbers(self._values[:, list(columns)], stamps_ns, np.full(len(time), -1), finite,
+                       ~finite | (scaled == stamps_ns))
 
     def sample(self) -> FloatArray:
         """Return all rows."""
         return self._values
-
-    def line_number(self, row: int) -> int:
-        """Return the number of a row, from 1."""
-        return row + 1
 
     def drop_last(self) -> None:
         """Do nothing: no row of an array is cut off."""
 
 
 def structure_of(path: Path, beginning: bytes) -> str | None:
-    """Return which of the ``STRUCTURED`` a file is, None for a table."""
-    if beginning.startswith(b'\x93NUMPY') or path.suffix == '.npy':
-        return 'npy'
+    """Return which of the ``STRUCTURED`` a text is, None for a table."""
     if path.suffix == '.json' or beginning.lstrip().startswith(b'{'):
         return 'nerfstudio'
     if path.suffix == '.g2o' or beginning.lstrip().startswith((b'VERTEX_', b'EDGE_')):
@@ -120,7 +116,7 @@ def read_g2o(path: Path, data: bytes) -> RawPoses:
         planar = ': poses in the plane cannot serve' if b'VERTEX_SE2' in data else ''
         raise SourceError(f'{path} holds no VERTEX_SE3:QUAT{planar}')
     table = Table.parse(path, b'\n'.join(lines) + b'\n')
-    if table.fields.width < 9:
+    if table.width < 9:
         raise SourceError(f'{path}: a VERTEX_SE3:QUAT needs an id and 7 numbers')
     # Ids may be as large as 64 bits; the low ones count the poses of a robot.
     ids = np.array([int(line.split(None, 2)[1]) for line in lines], dtype=np.uint64)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -12,7 +13,12 @@ import numpy as np
 
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.numbers import Fields, NotANumberError, Numbers
+from trajectory_calibration.sources.numbers import (
+    is_number,
+    NotANumberError,
+    Numbers,
+    read_columns,
+)
 
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.zstd', '.zst')
 # How files of gzip, zip, bzip2, xz and zstd begin.
@@ -24,6 +30,8 @@ _FOREIGN = re.compile(rb'\s*(<|\[?\s*\{)')
 _UNTIL_TOO_LONG = 60
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
+# Bytes that are read at once, which the caches of a processor hold.
+_BLOCK = 1 << 18
 
 
 @dataclass
@@ -33,21 +41,24 @@ class Table:
     Attributes
     ----------
     path : the file.
-    fields : where the numbers are.
+    body : the rows, each with an end.
+    line_numbers : where they stand in the file, from 1.
     headings : what the comment lines and a first line of words say, without their marks.
-    by_commas : whether commas or semicolons separate the fields.
+    separator : of the fields: a comma, or None for blanks.
+    width : how many columns there are.
+    complete : whether the last line had an end.
     notes : what was repaired.
 
     """
 
     path: Path
-    fields: Fields
+    body: bytes
+    line_numbers: Sequence[int]
     headings: list[str]
-    by_commas: bool
+    separator: str | None
+    width: int
+    complete: bool
     notes: list[str] = field(default_factory=list)
-    _body: bytes = b''
-    _first_line: int = 1
-    _line_numbers: list[int] | None = None
 
     @classmethod
     def read(cls, path: Path) -> Table:
@@ -62,111 +73,103 @@ class Table:
         return cls.parse(path, read_bytes(path))
 
     @classmethod
-    def parse(cls, path: Path, data: bytes, notes: list[str] | None = None) -> Table:
+    def parse(cls, path: Path, data: bytes) -> Table:
         """Make a table of the text of a file; see ``read``."""
         foreign = _FOREIGN.match(data)
         if foreign is not None:
             kind = 'XML' if foreign[1] == b'<' else 'JSON'
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
         headings, start, first_line = _headings(data)
-        body = data[start:]
-        numbers = None
-        if b'#' in body or b'%' in body or b'\n\n' in body or b'\n\r\n' in body:
-            rows = [(number, line) for number, line in enumerate(body.split(b'\n'), first_line)
+        complete = data.endswith(b'\n')
+        body = data[start:] if complete else data[start:] + b'\n'
+        numbers: Sequence[int] = range(first_line, first_line + body.count(b'\n'))
+        if any(mark in body for mark in (b'#', b'%', b'//', b'\n\n')):
+            lines = body.splitlines(keepends=True)
+            rows = [row for row, line in enumerate(lines)
                     if line.strip() and not line.lstrip().startswith(_COMMENTS)]
-            end = b'\n' * body.endswith(b'\n')
-            numbers, body = [row[0] for row in rows], b'\n'.join(row[1] for row in rows) + end
-        if not body or body.isspace():
+            body, numbers = b''.join(lines[row] for row in rows), [numbers[row] for row in rows]
+        if not body.strip():
             raise SourceError(f'{path} holds no poses ({len(data)} bytes)')
-        line = body[:body.find(b'\n')] if b'\n' in body else body
+        line = body[:body.index(b'\n')]
         if b';' in line:
             if b',' in line:
-                raise SourceError(f'{path}, line {first_line}: commas and semicolons; write '
+                raise SourceError(f'{path}, line {numbers[0]}: commas and semicolons; write '
                                   'decimals with a point')
             body = body.replace(b';', b',')
-        table = cls(path, Fields(np.zeros(0, np.uint8), *np.zeros((2, 0, 0), np.intp)), headings,
-                    b',' in line or b';' in line, [] if notes is None else notes, body,
-                    first_line, numbers)
-        table._split()
+        if line.rstrip().endswith((b',', b';')):
+            # A comma after the last field means nothing.
+            body = re.sub(rb',[ \t]*\n', b'\n', body)
+        separator = ',' if b',' in line or b';' in line else None
+        table = cls(path, body, numbers, headings, separator, 0, complete)
+        counts = [len(row.split(separator)) for row in table.ends()[0]]
+        table.width = max(counts, key=counts.count) if len(counts) > 2 else counts[0]
+        last = body[body.rfind(b'\n', 0, -1) + 1:].decode(errors='replace')
+        if len(numbers) > 1 and not complete and len(last.split(separator)) < table.width:
+            table.drop_last()
+            table.complete = True
         return table
 
     def read_numbers(
-        self, columns: list[int], time_column: int | None = None, decimals: int = 0,
+        self, columns: Sequence[int], time_column: int | None = None, decimals: int = 0,
     ) -> Numbers:
-        """Return columns of numbers as ``Fields.read`` does.
+        """Return columns of numbers as ``numbers.read_columns`` does.
 
         Raises
         ------
         SourceError
-            A field is no number; the message names its line.
+            A field is no number, or a line has more fields or fewer; the message names the line.
 
         """
-        try:
-            return self.fields.read(columns, time_column, decimals)
-        except NotANumberError as error:
-            row, column, reason = error.args
-            raise SourceError(
-                f'{self.path}, line {self.line_number(row)}, column {column + 1}: '
-                f'{shown(self.fields.word(row, column))} {reason}') from None
-
-    @property
-    def width(self) -> int:
-        """How many columns there are."""
-        return self.fields.width
+        blocks: list[Numbers] = []
+        start = row = 0
+        while start < len(self.body):
+            end = self.body.index(b'\n', min(start + _BLOCK, len(self.body) - 1)) + 1
+            lines = self.body[start:end].decode(errors='replace').split('\n')[:-1]
+            try:
+                blocks.append(read_columns(
+                    lines, self.separator, self.width, columns, time_column, decimals))
+            except NotANumberError as error:
+                k, column, reason = error.args
+                word = lines[k].split(self.separator)[column].strip()
+                raise SourceError(
+                    f'{self.path}, line {self.line_numbers[row + k]}, column {column + 1}: '
+                    f'{shown(word)} {reason}') from None
+            except ValueError as error:
+                self._require_even(lines, row)
+                raise SourceError(f'{self.path} cannot be read: {error}') from error
+            start, row = end, row + len(lines)
+        return Numbers(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def sample(self) -> FloatArray:
         """Return (M, C) rows from the beginning and the end; NaN for words."""
-        parts = [self.fields.part(slice(0, _SAMPLE))]
-        if len(self.fields) > _SAMPLE:
-            parts.append(self.fields.part(slice(max(_SAMPLE, len(self.fields) - _SAMPLE), None)))
-        return np.concatenate([np.stack(
-            [_floats(part, column) for column in range(self.width)], axis=1) for part in parts])
+        first, last = self.ends()
+        self._require_even(first, 0)
+        self._require_even(last, len(self.line_numbers) - len(last))
+        return np.array([[float(word) if is_number(word) else np.nan
+                          for word in line.split(self.separator)] for line in first + last])
 
-    def line_number(self, row: int) -> int:
-        """Return the line of a row in the file, from 1."""
-        if self._line_numbers is not None:
-            return self._line_numbers[row]
-        starts = self.fields.starts
-        offset = int(starts[row, 0]) if starts.size else 0
-        return self._first_line + self._body.count(b'\n', 0, offset)
+    def ends(self) -> tuple[list[str], list[str]]:
+        """Return some rows from the beginning, and some of the others from the end."""
+        end = self.body.index(b'\n', min(_BLOCK, len(self.body) - 1)) + 1
+        first = self.body[:end].decode(errors='replace').split('\n')[:-1][:_SAMPLE]
+        start = self.body.rfind(b'\n', 0, max(0, len(self.body) - _BLOCK)) + 1
+        last = self.body[start:].decode(errors='replace').split('\n')[:-1][-_SAMPLE:]
+        return first, last[max(0, len(first) + len(last) - len(self.line_numbers)):]
 
     def drop_last(self) -> None:
         """Leave out the last row, which a recorder that was killed left incomplete."""
-        self.notes.append(
-            f'the last line, {self.line_number(len(self.fields) - 1)}, is cut off: dropped')
-        self.fields = self.fields.part(slice(0, -1))
+        self.notes.append(f'the last line, {self.line_numbers[-1]}, is cut off: dropped')
+        self.body = self.body[:self.body.rfind(b'\n', 0, -1) + 1]
+        self.line_numbers = self.line_numbers[:-1]
 
-    @property
-    def complete(self) -> bool:
-        """Whether the last line has an end."""
-        return self._body.endswith((b'\n', b'\r'))
-
-    def _split(self) -> None:
-        """Find the fields; rows of unequal length are an error, but for a last one cut off."""
-        read = Fields.separated_by_commas if self.by_commas else Fields.separated_by_space
-        found = read(self._body)
-        if isinstance(found, Fields):
-            self.fields = found
-            return
-        usual = int(np.bincount(found).argmax()) if len(found) > 2 else int(found[0])
-        wrong = np.flatnonzero(found != usual)
-        last = len(found) - 1
-        if wrong.tolist() == [last] and found[last] < usual and not self.complete:
-            end = self._body.rstrip().rfind(b'\n') + 1
-            cut_off = self._first_line + self._body.count(b'\n', 0, end)
-            if self._line_numbers is not None:
-                cut_off = self._line_numbers[-1]
-            self.notes.append(f'the last line, {cut_off}, is cut off: dropped')
-            self._body = self._body[:end]
-            self._split()
-            return
-        row = int(wrong[0])
-        lines = self._body.split(b'\n')
-        number = (self._first_line + row if self._line_numbers is None
-                  else self._line_numbers[row])
-        raise SourceError(
-            f'{self.path}, line {number}: {counted(found[row], "column")}, the other lines '
-            f'have {usual}; found {shown(lines[row].strip())}')
+    def _require_even(self, lines: Iterable[str], first: int) -> None:
+        """Raise SourceError where one of the rows from ``first`` on has another width."""
+        for row, line in enumerate(lines, first):
+            count = len(line.split(self.separator))
+            if count != self.width:
+                raise SourceError(
+                    f'{self.path}, line {self.line_numbers[row]}: {counted(count, "column")}, the '
+                    f'other lines have {self.width}; found {shown(line.strip())}')
 
 
 def is_bag(path: Path) -> bool:
@@ -223,32 +226,15 @@ def _headings(data: bytes) -> tuple[list[str], int, int]:
     while start < len(data):
         end = data.find(b'\n', start)
         end = len(data) if end < 0 else end
-        line = data[start:end].strip()
-        comment = line.startswith(_COMMENTS)
-        if line and not comment and (any(map(_is_number, re.split(rb'[,;\s]+', line)))
+        comment = data[start:end].lstrip().startswith(_COMMENTS)
+        line = data[start:end].decode(errors='replace').strip()
+        if line and not comment and (any(map(is_number, re.split(r'[,;\s]+', line)))
                                      or any(not item.startswith(('#', '%')) for item in headings)):
             break
         if line:
-            headings.append(line.decode('utf-8', errors='replace'))
+            headings.append(line)
         start, number = end + 1, number + 1
     return headings, min(start, len(data)), number
-
-
-def _is_number(field: bytes) -> bool:
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return True
-
-
-def _floats(fields: Fields, column: int) -> FloatArray:
-    """Return the (N,) numbers of a column; NaN for words."""
-    try:
-        return fields.read([column]).values[:, 0]
-    except NotANumberError:
-        words = [fields.word(row, column) for row in range(len(fields))]
-        return np.array([float(word) if _is_number(word.encode()) else np.nan for word in words])
 
 
 def _like_a_topic(path: Path) -> bool:
