@@ -33,9 +33,8 @@ def good():
 
 
 def fed(msgtype, messages):
-    from trajectory_calibration.sources.deserialise import Deserialiser
     buffer = PoseBuffer(BufferLimits())
-    feed = PoseFeed(msgtype, buffer, Deserialiser(ros1=False))
+    feed = PoseFeed(msgtype, buffer)
     for message in messages:
         feed(message)
     return buffer

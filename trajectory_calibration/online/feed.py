@@ -3,30 +3,18 @@
 """From the bytes of a message to a pose in a buffer; the same for a topic and for a bag.
 
 Nothing here imports ROS. Building a message object costs ten times what the rest of a callback
-does, so the pose is read where it lies; the general way remains for what is not plain CDR.
+does, so the pose is read where it lies.
 """
 
 from __future__ import annotations
 
-from typing import Protocol, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from trajectory_calibration.online.buffer import PoseBuffer
-from trajectory_calibration.sources.cdr import parse_path, parse_pose, PATH, PathPoses, StampedPose
+from trajectory_calibration.sources.cdr import parse_path, parse_pose, PATH
 
 if TYPE_CHECKING:
     from trajectory_calibration.sources.topics import TopicTrack
-
-
-class General(Protocol):
-    """Reads a serialized message whatever its layout; None where it is damaged."""
-
-    def pose(self, message: bytes, msgtype: str) -> StampedPose | None:
-        """Return the pose of a message."""
-        ...
-
-    def path(self, message: bytes) -> PathPoses | None:
-        """Return the poses of a Path."""
-        ...
 
 
 class PoseFeed:
@@ -38,27 +26,25 @@ class PoseFeed:
         One of ``sources.cdr.TRAJECTORY_TYPES``.
     buffer : PoseBuffer
         That takes the poses.
-    general : General
-        For the messages that are not plain CDR.
 
     """
 
-    def __init__(self, msgtype: str, buffer: PoseBuffer, general: General) -> None:
-        self._msgtype, self._buffer, self._general = msgtype, buffer, general
+    def __init__(self, msgtype: str, buffer: PoseBuffer) -> None:
+        self._msgtype, self._buffer = msgtype, buffer
 
     def __call__(self, message: bytes) -> None:
         """Take one message; what is wrong with it is counted by the buffer."""
         if self._msgtype == PATH:
             self._take_path(message)
             return
-        sample = parse_pose(message, self._msgtype) or self._general.pose(message, self._msgtype)
+        sample = parse_pose(message, self._msgtype)
         if sample is None:
             self._buffer.count_unreadable()
             return
         self._buffer.append(*sample)
 
     def _take_path(self, message: bytes) -> None:
-        path = parse_path(message) or self._general.path(message)
+        path = parse_path(message)
         if path is None:
             self._buffer.count_unreadable()
             return

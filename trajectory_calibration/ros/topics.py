@@ -20,7 +20,6 @@ from trajectory_calibration.online.feed import PoseFeed
 from trajectory_calibration.ros.conversions import MESSAGE_TYPES
 from trajectory_calibration.ros.frames import VehicleTransforms
 from trajectory_calibration.sources.cdr import PATH
-from trajectory_calibration.sources.deserialise import Deserialiser
 from trajectory_calibration.sources.transforms import ChainFollower
 
 
@@ -138,7 +137,7 @@ class TrajectorySubscription:
         self._msgtype, self._profile = msgtype, profile
         self._subscription = self._node.create_subscription(
             MESSAGE_TYPES[msgtype], self._name,
-            PoseFeed(msgtype, self._buffer, Deserialiser(ros1=False)), profile, raw=True,
+            PoseFeed(msgtype, self._buffer), profile, raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost))
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')

@@ -13,16 +13,17 @@ then the fields, each aligned to its size counted from byte 4::
         [6 + 36 float64 twist]                 of Odometry only
 
 ROS 1 has a counter in place of the four bytes, no alignment, and no NUL. A TFMessage is the
-number of its transforms and the transforms, each like a TransformStamped.
+number of its transforms and the transforms, each like a TransformStamped; a Path is a header, the
+number of its poses and the poses, each like a PoseStamped.
 
-Messages of one length and one pair of frames have the pose at one place: a block of them is an
-array, which NumPy views without a loop. Everything is checked against the length of the
-message; what does not fit is left to a general deserialiser.
+One message is walked field by field, which tells where stamp and pose are; all messages of its
+length, names and order of bytes have them at the same place, and NumPy reads those without a
+loop. A message that is shorter or longer than its fields is none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import struct
 from typing import NamedTuple
@@ -39,19 +40,20 @@ TRANSFORM = 'geometry_msgs/msg/TransformStamped'
 PATH = 'nav_msgs/msg/Path'
 TF = 'tf2_msgs/msg/TFMessage'
 
-# Numbers from the start of the pose to the end of the message.
-DOUBLES = {ODOMETRY: 7 + 36 + 6 + 36, POSE: 7, POSE_WITH_COVARIANCE: 7 + 36, TRANSFORM: 7}
-_WITH_CHILD = (ODOMETRY, TRANSFORM)
+# Numbers after the pose.
+_REST = {ODOMETRY: 36 + 6 + 36, POSE: 0, POSE_WITH_COVARIANCE: 36, TRANSFORM: 0}
+_WITH_CHILD = (ODOMETRY, TRANSFORM, TF)
 
-POSE_TYPES = tuple(DOUBLES)
+POSE_TYPES = tuple(_REST)
 TRAJECTORY_TYPES = (*POSE_TYPES, PATH)
 
 _POSE_BYTES = 56
+# A pose with its header is no shorter: what declares more of them than fit is damaged.
+_SHORTEST_POSE = 8 + 4 + _POSE_BYTES
 # Bytes that a writer may append to a message to fill a word.
 _MAX_PADDING = 3
-# Different frame ids in one block beyond which the general deserialiser takes the rest.
-_MAX_FRAMES = 8
-
+# Groups of equal messages that are looked for in a block; the rest is read one by one.
+_MAX_GROUPS = 8
 
 # header.frame_id and child_frame_id.
 TwoFrames = tuple[str, str]
@@ -81,8 +83,8 @@ class PoseBlock:
     ----------
     stamps_ns : (N,) int64, header.stamp.
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw.
-    frame_index : (N,), index into ``frames``; -1 for a message that was not understood, whose
-        stamp and pose mean nothing.
+    frame_index : (N,), index into ``frames``; -1 for a message that is damaged, whose stamp and
+        pose mean nothing.
     frames : pairs of header.frame_id and child_frame_id.
 
     """
@@ -90,7 +92,7 @@ class PoseBlock:
     stamps_ns: NDArray[np.int64]
     poses: FloatArray
     frame_index: NDArray[np.intp]
-    frames: list[tuple[str, str]]
+    frames: list[TwoFrames]
 
 
 class PathPoses(NamedTuple):
@@ -110,128 +112,110 @@ class TransformRun(NamedTuple):
     poses: FloatArray
 
 
-class _Layout(NamedTuple):
-    """Where stamp and pose of a message begin, and which bytes decide that."""
+class _Place(NamedTuple):
+    """Where the stamp and the numbers of a pose begin in a message, and between which frames."""
 
     frames: TwoFrames
-    stamp_offset: int
-    pose_offset: int
+    stamp: int
+    pose: int
+
+
+class _Layout(NamedTuple):
+    """Where the poses of a message are, its order of bytes, and which bytes decide that."""
+
+    places: list[_Place]
+    order: str
     deciding: list[slice]
 
 
 def parse_pose(message: bytes, msgtype: str) -> StampedPose | None:
-    """Return the pose of one serialized message, or None where it is not plain CDR.
-
-    ``msgtype`` is one of ``POSE_TYPES``.
-    """
+    """Return the pose of a message of one of ``POSE_TYPES``, or None where it is damaged."""
     layout = _layout(message, msgtype)
     if layout is None:
         return None
-    sec, nanosec = struct.unpack_from('<iI', message, 4)
-    pose = struct.unpack_from('<7d', message, layout.pose_offset)
-    return StampedPose(sec * 1_000_000_000 + nanosec, layout.frames, pose)
+    (frames, stamp, pose), = layout.places
+    sec, nanosec = struct.unpack_from(f'{layout.order}iI', message, stamp)
+    return StampedPose(sec * 1_000_000_000 + nanosec, frames,
+                       struct.unpack_from(f'{layout.order}7d', message, pose))
 
 
 def parse_poses(messages: Sequence[bytes], msgtype: str, *, ros1: bool = False) -> PoseBlock:
-    """Return the poses of many serialized messages of one of ``POSE_TYPES``."""
+    """Return the poses of many messages of one of ``POSE_TYPES``."""
     count = len(messages)
     block = PoseBlock(
         np.zeros(count, dtype=np.int64), np.zeros((count, 7)), np.full(count, -1), [])
-    lengths = np.fromiter(map(len, messages), dtype=np.intp, count=count)
-    for length in np.unique(lengths):
-        _parse_equal_lengths(
-            messages, np.flatnonzero(lengths == length), msgtype, block, ros1=ros1)
+    for indices, rows, layout in _groups(messages, msgtype, ros1=ros1):
+        if layout is None:
+            continue
+        (place,) = layout.places
+        if place.frames not in block.frames:
+            block.frames.append(place.frames)
+        block.stamps_ns[indices], block.poses[indices] = _values(rows, place, layout.order)
+        block.frame_index[indices] = block.frames.index(place.frames)
     return block
 
 
-def parse_transforms(messages: Sequence[bytes]) -> tuple[list[TransformRun], list[int]]:
-    """Return the transforms of many TFMessages, and which messages were not understood."""
-    runs, left = [], []
+def parse_transforms(
+    messages: Sequence[bytes], *, ros1: bool = False,
+) -> tuple[list[TransformRun], int]:
+    """Return the transforms of many TFMessages, and how many messages are damaged."""
+    runs: list[TransformRun] = []
+    damaged = 0
+    for indices, rows, layout in _groups(messages, TF, ros1=ros1):
+        damaged += layout is None and len(indices)
+        runs += [] if layout is None else [
+            TransformRun(place.frames, indices, *_values(rows, place, layout.order))
+            for place in layout.places]
+    return runs, damaged
+
+
+def parse_path(message: bytes, *, ros1: bool = False) -> PathPoses | None:
+    """Return the poses of a Path, or None where it is damaged."""
+    stamps_ns, poses = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 7))]
+    try:
+        fields = _Fields(message, ros1=ros1)
+        _, frame = fields.header()
+        left = fields.count()
+        while left:
+            start = fields.offset
+            place, size = fields.pose(child=False), fields.offset - start
+            rows = np.frombuffer(message, np.uint8, (len(message) - start) // size * size, start)
+            rows = rows.reshape(-1, size)[:left]
+            # Poses of equal names have one size, but for a first one that begins between words.
+            name = fields.deciding[-1]
+            same = _same(rows, [slice(name.start - start, name.stop - start)])
+            equal = 1 if size % 8 and not ros1 else len(same) if same.all() else int(same.argmin())
+            fields.offset = start + equal * size
+            left -= equal
+            place = _Place(place.frames, place.stamp - start, place.pose - start)
+            stamps, numbers = _values(rows[:equal], place, fields.order)
+            stamps_ns.append(stamps)
+            poses.append(numbers)
+    except (struct.error, ValueError):
+        return None
+    return PathPoses(frame, np.concatenate(stamps_ns), np.concatenate(poses)) if (
+        fields.ended) else None
+
+
+def _groups(
+    messages: Sequence[bytes], msgtype: str, *, ros1: bool,
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.uint8], _Layout | None]]:
+    """Yield which messages have one layout, None if damaged, and their (N, L) bytes."""
     lengths = np.fromiter(map(len, messages), dtype=np.intp, count=len(messages))
     for length in np.unique(lengths):
         indices = np.flatnonzero(lengths == length)
-        rows = _rows(messages, indices)
-        for _ in range(_MAX_FRAMES):
+        rows = np.frombuffer(b''.join([messages[k] for k in indices.tolist()]), dtype=np.uint8)
+        rows = rows.reshape(len(indices), length)
+        for _ in range(_MAX_GROUPS):
             if not len(indices):
                 break
-            layouts = _transform_layouts(messages[indices[0]])
-            if layouts is None:
-                left.append(int(indices[0]))
-                indices, rows = indices[1:], rows[1:]
-                continue
-            same = _same(rows, [part for layout in layouts for part in layout.deciding])
-            runs += [TransformRun(
-                layout.frames, indices[same],
-                _stamps_ns(rows[same, layout.stamp_offset:layout.stamp_offset + 8]),
-                _doubles(rows[same, layout.pose_offset:layout.pose_offset + _POSE_BYTES]))
-                for layout in layouts]
+            layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
+            same = _same(rows, [slice(None)] if layout is None else layout.deciding)
+            yield (indices, rows, layout) if same.all() else (indices[same], rows[same], layout)
             indices, rows = indices[~same], rows[~same]
-        left += indices.tolist()
-    return runs, left
-
-
-def parse_path(message: bytes) -> PathPoses | None:
-    """Return the poses of a serialized nav_msgs/Path, or None where it is not plain CDR.
-
-    Equal frame ids in all of its poses give them one distance in the message; others are left
-    to a general deserialiser.
-    """
-    if not _is_little_endian(message):
-        return None
-    header = _string(message, 12)
-    if header is None or len(message) < _align(header.end, 4) + 4:
-        return None
-    start = _align(header.end, 4) + 4
-    count = int.from_bytes(message[start - 4:start], 'little')
-    if count == 0 and len(message) - start <= _MAX_PADDING:
-        return PathPoses(header.text, np.zeros(0, dtype=np.int64), np.zeros((0, 7)))
-    frame = _string(message, start + 8)
-    if count == 0 or frame is None:
-        return None
-    # The first pose may begin between two multiples of eight; the others begin on one.
-    first_end = _align(frame.end, 8) + _POSE_BYTES
-    head = 8 + frame.end - frame.start
-    stride = -(-head // 8) * 8 + _POSE_BYTES
-    if not 0 <= len(message) - (first_end + (count - 1) * stride) <= _MAX_PADDING:
-        return None
-    data = np.frombuffer(message, dtype=np.uint8)
-    rest = data[first_end:first_end + (count - 1) * stride].reshape(count - 1, stride)
-    same_frame = (rest[:, 8:head] == data[start + 8:frame.end]).all()
-    if not same_frame:
-        return None
-    stamps = np.vstack([data[start:start + 8], rest[:, :8]])
-    poses = np.vstack([data[first_end - _POSE_BYTES:first_end], rest[:, stride - _POSE_BYTES:]])
-    return PathPoses(header.text, _stamps_ns(stamps), _doubles(poses))
-
-
-def _parse_equal_lengths(
-    messages: Sequence[bytes], indices: NDArray[np.intp], msgtype: str, block: PoseBlock, *,
-    ros1: bool,
-) -> None:
-    """Fill ``block`` at ``indices``, whose messages have the same length."""
-    rows = _rows(messages, indices)
-    for _ in range(_MAX_FRAMES):
-        if not len(indices):
-            return
-        layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
-        if layout is None:
-            indices, rows = indices[1:], rows[1:]
-            continue
-        same = _same(rows, layout.deciding)
-        chosen, offset = indices[same], layout.pose_offset
-        block.stamps_ns[chosen] = _stamps_ns(rows[same, 4:12])
-        block.poses[chosen] = _doubles(rows[same, offset:offset + _POSE_BYTES])
-        if layout.frames not in block.frames:
-            block.frames.append(layout.frames)
-        block.frame_index[chosen] = block.frames.index(layout.frames)
-        indices, rows = indices[~same], rows[~same]
-
-
-def _rows(messages: Sequence[bytes], indices: NDArray[np.intp]) -> NDArray[np.uint8]:
-    """Return (N, L) bytes of some messages of equal length."""
-    return np.frombuffer(
-        b''.join([messages[k] for k in indices.tolist()]), dtype=np.uint8,
-    ).reshape(len(indices), -1)
+        for k, index in enumerate(indices.tolist()):
+            yield (indices[k:k + 1], rows[k:k + 1],
+                   _layout(messages[index], msgtype, ros1=ros1))
 
 
 def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool_]:
@@ -243,87 +227,89 @@ def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool
     return same
 
 
+def _values(
+    rows: NDArray[np.uint8], place: _Place, order: str,
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the (N,) stamps and the (N, 7) poses at one place of (N, L) bytes."""
+    time = np.ascontiguousarray(rows[:, place.stamp:place.stamp + 8])
+    sec = time.view(f'{order}i4')[:, 0].astype(np.int64)
+    poses = np.ascontiguousarray(rows[:, place.pose:place.pose + _POSE_BYTES])
+    return (sec * 1_000_000_000 + time.view(f'{order}u4')[:, 1],
+            poses.view(f'{order}f8').astype(np.float64))
+
+
 def _layout(message: bytes, msgtype: str, *, ros1: bool = False) -> _Layout | None:
-    if not ros1 and not _is_little_endian(message):
-        return None
-    header = _string(message, 12, ros1=ros1)
-    if header is None:
-        return None
-    strings = [header]
-    if msgtype in _WITH_CHILD:
-        child = _string(message, _align(header.end, 4, ros1=ros1), ros1=ros1)
-        if child is None:
-            return None
-        strings.append(child)
-    offset = _align(strings[-1].end, 8, ros1=ros1)
-    padding = len(message) - (offset + 8 * DOUBLES[msgtype])
-    if padding and (ros1 or not 0 < padding <= _MAX_PADDING):
-        return None
-    encapsulation = [] if ros1 else [slice(0, 2)]
-    return _Layout(
-        (header.text, strings[1].text if len(strings) > 1 else ''), 4, offset,
-        [*encapsulation, *(slice(item.start, item.end) for item in strings)])
-
-
-def _transform_layouts(message: bytes) -> list[_Layout] | None:
-    """Return where each transform of a TFMessage is, None where that is not plain CDR."""
-    if not _is_little_endian(message):
-        return None
-    layouts = []
-    count, offset = int.from_bytes(message[4:8], 'little'), 8
-    for _ in range(min(count, len(message))):
-        start = _align(offset, 4)
-        header = _string(message, start + 8)
-        child = None if header is None else _string(message, _align(header.end, 4))
-        if header is None or child is None:
-            return None
-        offset = _align(child.end, 8) + _POSE_BYTES
-        layouts.append(_Layout(
-            (header.text, child.text), start, offset - _POSE_BYTES,
-            [slice(0, 2), slice(4, 8), slice(header.start, header.end),
-             slice(child.start, child.end)]))
-    return layouts if 0 <= len(message) - offset <= _MAX_PADDING else None
-
-
-class _String(NamedTuple):
-    """A string in a message: its text, where its length begins, where its characters end."""
-
-    text: str
-    start: int
-    end: int
-
-
-def _string(message: bytes, start: int, *, ros1: bool = False) -> _String | None:
-    end = start + 4 + int.from_bytes(message[start:start + 4], 'little')
-    # In CDR, the characters end with one NUL, which the length counts.
-    terminated = ros1 or (end > start + 4 and message[end - 1:end] == b'\0')
-    if not start + 4 <= end <= len(message) or not terminated:
-        return None
+    """Return where the poses of a message are, or None where it is damaged."""
     try:
-        return _String(message[start + 4:end - (not ros1)].decode(), start, end)
-    except UnicodeDecodeError:
+        fields = _Fields(message, ros1=ros1)
+        places = [fields.pose(child=msgtype in _WITH_CHILD)
+                  for _ in range(fields.count() if msgtype == TF else 1)]
+    except (struct.error, ValueError):
         return None
+    fields.offset += 8 * _REST.get(msgtype, 0)
+    return _Layout(places, fields.order, fields.deciding) if fields.ended else None
 
 
-def _is_little_endian(message: bytes) -> bool:
-    return message[:2] == b'\x00\x01'
+class _Fields:
+    """A message that is walked from its beginning; raises where it ends too soon.
 
+    Attributes
+    ----------
+    offset : where the next field begins.
+    order : of the bytes, as ``struct`` writes it.
+    deciding : the bytes so far that decide where the following ones are.
 
-def _align(offset: int, size: int, *, ros1: bool = False) -> int:
-    if ros1:
-        return offset
-    return -(-(offset - 4) // size) * size + 4
+    """
 
+    def __init__(self, message: bytes, *, ros1: bool) -> None:
+        self._message, self._ros1 = message, ros1
+        self.offset = 0 if ros1 else 4
+        if not ros1 and message[:2] not in (b'\x00\x00', b'\x00\x01'):
+            raise ValueError('not plain CDR')
+        self.order = '<' if ros1 or message[1] else '>'
+        self.deciding = [slice(0, 0 if ros1 else 2)]
 
-def _stamps_ns(rows: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return (N,) nanoseconds of the (N, 8) bytes of builtin_interfaces/Time."""
-    data = np.ascontiguousarray(rows)
-    sec = data[:, :4].copy().view('<i4')[:, 0].astype(np.int64)
-    nanosec = data[:, 4:].copy().view('<u4')[:, 0].astype(np.int64)
-    stamps_ns: NDArray[np.int64] = sec * 1_000_000_000 + nanosec
-    return stamps_ns
+    @property
+    def ended(self) -> bool:
+        """Whether nothing is left but padding."""
+        return 0 <= len(self._message) - self.offset <= (0 if self._ros1 else _MAX_PADDING)
 
+    def pose(self, *, child: bool) -> _Place:
+        """Pass a header, the name of a child, and a pose."""
+        stamp, frame = self.header()
+        frames: TwoFrames = (frame, self._text() if child else '')
+        return _Place(frames, stamp, self._pass(_POSE_BYTES, 8))
 
-def _doubles(rows: NDArray[np.uint8]) -> FloatArray:
-    """Return the (N, 7) numbers of (N, 56) bytes."""
-    return np.ascontiguousarray(rows).view('<f8').astype(np.float64)
+    def header(self) -> tuple[int, str]:
+        """Pass a header; return where its stamp begins, and its frame."""
+        stamp = self._pass(12, 4) + 4 if self._ros1 else self._pass(8, 4)
+        return stamp, self._text()
+
+    def count(self) -> int:
+        """Return the length of a sequence of poses."""
+        start = self._pass(4, 4)
+        self.deciding.append(slice(start, start + 4))
+        (count,) = struct.unpack_from(f'{self.order}I', self._message, start)
+        if count * _SHORTEST_POSE > len(self._message):
+            raise ValueError('more than fit')
+        return int(count)
+
+    def _text(self) -> str:
+        start = self._pass(4, 4)
+        (length,) = struct.unpack_from(f'{self.order}I', self._message, start)
+        data = self._message[self._pass(length, 1):self.offset]
+        self.deciding.append(slice(start, self.offset))
+        if self._ros1:
+            return data.decode()
+        # The characters end with one NUL, which the length counts.
+        if not data.endswith(b'\0'):
+            raise ValueError('a string without an end')
+        return data[:-1].decode()
+
+    def _pass(self, size: int, alignment: int) -> int:
+        """Pass a field; return where it begins."""
+        start = self.offset if self._ros1 else -(-(self.offset - 4) // alignment) * alignment + 4
+        self.offset = start + size
+        if self.offset > len(self._message):
+            raise ValueError('cut off')
+        return start

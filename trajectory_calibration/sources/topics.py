@@ -18,7 +18,6 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.channels import Batch
-from trajectory_calibration.sources.deserialise import Deserialiser
 from trajectory_calibration.sources.times import require_own_stamps
 from trajectory_calibration.sources.transforms import parse_tf, TransformTree
 
@@ -196,7 +195,7 @@ class TopicCollector:
         """
         held = self._path_message
         shorter = held is not None and len(message) < len(held)
-        path = self._path(message) if shorter else None
+        path = cdr.parse_path(message, ros1=self._ros1) if shorter else None
         if not shorter or (path is not None and _is_usable(path)):
             if path is not None:
                 self._set_apart(int(path.stamps_ns.min()))
@@ -204,14 +203,6 @@ class TopicCollector:
 
     def _add_poses(self, messages: list[bytes], received_ns: NDArray[np.int64]) -> None:
         block = cdr.parse_poses(messages, self._msgtype, ros1=self._ros1)
-        for k in np.flatnonzero(block.frame_index < 0).tolist():
-            sample = Deserialiser(ros1=self._ros1).pose(messages[k], self._msgtype)
-            if sample is None:
-                continue
-            if sample.frames not in block.frames:
-                block.frames.append(sample.frames)
-            block.stamps_ns[k], block.poses[k] = sample.stamp_ns, sample.pose
-            block.frame_index[k] = block.frames.index(sample.frames)
         read = block.frame_index >= 0
         self._parts.append(TopicTrack(
             self._topic, self._msgtype, len(messages), len(messages) - np.count_nonzero(read),
@@ -224,12 +215,9 @@ class TopicCollector:
         if len(held.poses) and held.stamps_ns.max() < start_ns:
             self._parts.append(replace(held, messages=0))
 
-    def _path(self, message: bytes) -> cdr.PathPoses | None:
-        path = None if self._ros1 else cdr.parse_path(message)
-        return Deserialiser(ros1=self._ros1).path(message) if path is None else path
-
     def _path_track(self) -> TopicTrack:
-        path = None if self._path_message is None else self._path(self._path_message)
+        path = None if self._path_message is None else cdr.parse_path(
+            self._path_message, ros1=self._ros1)
         if path is None:
             return TopicTrack(
                 self._topic, self._msgtype, self.count, min(self.count, 1), *_nothing(), ())
@@ -258,20 +246,13 @@ class TransformCollector:
 
     def add(self, batch: Batch) -> None:
         """Take messages in the order in which the recorder got them."""
-        ros1 = batch.channel.encoding == 'ros1'
         self.received_ns = min(self.received_ns, batch.received_ns[0])
-        runs, left = ([], range(len(batch.messages))) if ros1 else cdr.parse_transforms(
-            batch.messages)
+        runs, damaged = cdr.parse_transforms(
+            batch.messages, ros1=batch.channel.encoding == 'ros1')
+        self.unreadable += damaged
         by_frames: dict[cdr.TwoFrames, list[cdr.TransformRun]] = {}
         for run in runs:
             by_frames.setdefault(run.frames, []).append(run)
-        for k in left:
-            found = Deserialiser(ros1=ros1).transforms(batch.messages[k])
-            self.unreadable += found is None
-            for item in found or ():
-                by_frames.setdefault(item.frames, []).append(cdr.TransformRun(
-                    item.frames, np.array([self.count + k]),
-                    np.array([item.stamp_ns], dtype=np.int64), np.array([item.pose])))
         for frames, parts in by_frames.items():
             messages, stamps_ns, poses = (
                 np.concatenate(columns) for columns in zip(*(part[1:] for part in parts),
