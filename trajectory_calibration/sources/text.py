@@ -88,7 +88,7 @@ class Table:
             rows = [row for row, line in enumerate(lines)
                     if line.strip() and not line.lstrip().startswith(_COMMENTS)]
             body, numbers = b''.join(lines[row] for row in rows), [numbers[row] for row in rows]
-        if not body.strip():
+        if not body or body.isspace():
             raise SourceError(f'{path} holds no poses ({len(data)} bytes)')
         line = body[:body.index(b'\n')]
         if b';' in line:
