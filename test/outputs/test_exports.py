@@ -287,7 +287,7 @@ def test_a_known_extrinsic_is_read(tmp_path, name, text, how):
 
 @pytest.mark.parametrize(('name', 'text', 'message'), [
     ('x.txt', '', 'holds no numbers, needed one transform'),
-    ('x.txt', '1 2 3', 'holds 1 rows of 3 numbers'),
+    ('x.txt', '1 2 3', 'holds 1 row of 3 numbers'),
     ('x.txt', 'hello', 'holds no transform'),
     ('x.txt', '1 0 0 0\n0 1 0 0\n0 0 2 0\n0 0 0 1', 'no rotation'),
     ('x.txt', '0 0 0 0 0 0 2', 'norm 2, needed 1'),

@@ -9,7 +9,7 @@ sentence says so. Numbers are written with all their digits.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 import io
@@ -123,9 +123,9 @@ def _rounded(values: FloatArray) -> str:
     return ', '.join(f'{value:.2g}' for value in values)
 
 
-def _hash(lines: list[str]) -> str:
+def _hash(lines: list[str], indent: str = '') -> str:
     # A line break in the name of a frame must not end the comment.
-    return ''.join(f'# {" ".join(line.split())}\n' for line in lines)
+    return ''.join(f'{indent}# {" ".join(line.split())}\n' for line in lines)
 
 
 def _xml_comment(lines: list[str], indent: str = '') -> str:
@@ -183,15 +183,19 @@ def _static_tf(item: Placement) -> str:
         'ros2', 'run', 'tf2_ros', 'static_transform_publisher', *publisher_arguments(item)]) + '\n'
 
 
-def _launch(item: Placement) -> str:
-    arguments = publisher_arguments(item)
-    pairs = zip(arguments[::2], arguments[1::2], strict=True)
-    rows = ''.join(f'            {name!r}, {value!r},\n' for name, value in pairs)
-    return (_hash(_comments(item, _pose(item))) + 'from launch import LaunchDescription\n'
-            'from launch_ros.actions import Node\n\n\ndef generate_launch_description():\n'
-            "    return LaunchDescription([Node(\n        package='tf2_ros', "
-            f"executable='static_transform_publisher',\n        arguments=[\n{rows}"
-            '        ])])\n')
+def launch_file(items: Sequence[Placement]) -> str:
+    """Return a launch file that publishes the transforms."""
+    nodes = ''
+    for item in items:
+        arguments = publisher_arguments(item)
+        rows = ''.join(f'                {name!r}, {value!r},\n' for name, value in zip(
+            arguments[::2], arguments[1::2], strict=True))
+        nodes += _hash(_comments(item, _pose(item)), '        ') + (
+            "        Node(\n            package='tf2_ros', "
+            f"executable='static_transform_publisher',\n            arguments=[\n{rows}"
+            '            ]),\n')
+    return ('from launch import LaunchDescription\nfrom launch_ros.actions import Node\n\n\n'
+            f'def generate_launch_description():\n    return LaunchDescription([\n{nodes}    ])\n')
 
 
 def _rows(matrix: FloatArray, separator: str, start: str = '', end: str = '') -> str:
@@ -238,12 +242,18 @@ def _tum(item: Placement) -> str:
             + f'0 {_numbers(_translation(item))} {_numbers(_quaternion(item))}\n')
 
 
-def _autoware(item: Placement) -> str:
-    values = zip(('x', 'y', 'z', 'roll', 'pitch', 'yaw'),
-                 (*_translation(item), *_rpy(item)), strict=True)
-    rows = ''.join(f'    {name}: {number(value)}\n' for name, value in values)
-    return (_hash(_comments(item, f'sensor_kit_calibration.yaml, metres, radians; {_pose(item)}'))
-            + f'{quoted(item.parent)}:\n  {quoted(item.child)}:\n{rows}')
+def sensor_kit(items: Iterable[Placement]) -> str:
+    """Return Autoware's sensor_kit_calibration.yaml: every child under its parent."""
+    lines, parent = '# sensor_kit_calibration.yaml, metres, radians\n', None
+    for item in sorted(items, key=lambda item: item.parent):
+        if item.parent != parent:
+            parent = item.parent
+            lines += f'{quoted(parent)}:\n'
+        values = zip(('x', 'y', 'z', 'roll', 'pitch', 'yaw'),
+                     (*_translation(item), *_rpy(item)), strict=True)
+        lines += _hash(_comments(item, _pose(item)), '  ') + f'  {quoted(item.child)}:\n'
+        lines += ''.join(f'    {name}: {number(value)}\n' for name, value in values)
+    return lines
 
 
 def _kalibr(item: Placement) -> str:
@@ -266,8 +276,8 @@ EXPORTS: dict[str, Exporter] = {
         'command that publishes the pose of the child (--child-frame-id) in the parent '
         '(--frame-id)', 'sh', _static_tf, stem='static_transform'),
     'launch': Exporter(
-        'launch file that publishes the pose of the child in the parent', 'launch.py', _launch,
-        stem='static_transform'),
+        'launch file that publishes the pose of the child in the parent', 'launch.py',
+        lambda item: launch_file([item]), stem='static_transform'),
     'matrix': Exporter(
         '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'txt',
         _matrix, stem='matrix'),
@@ -280,7 +290,7 @@ EXPORTS: dict[str, Exporter] = {
                     _tum),
     'autoware': Exporter(
         'sensor_kit_calibration.yaml: the pose of the child under its parent', 'yaml',
-        _autoware, stem='sensor_kit_calibration'),
+        lambda item: sensor_kit([item]), stem='sensor_kit_calibration'),
     'kalibr': Exporter(
         'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '
         'inverse of the pose of the child in the parent', 'yaml', _kalibr, stem='camchain'),
@@ -299,15 +309,20 @@ def write_exports(item: CalibrationResult | Placement, folder: Path) -> list[Pat
 
     """
     placement = _placement(item)
-    written = []
+    contents = {}
+    for exporter in EXPORTS.values():
+        # The other formats may well hold a name that this one cannot.
+        with suppress(ConfigError):
+            contents[exporter.file_name] = exporter.encode(placement)
+    return write_files(folder, contents)
+
+
+def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+    """Write files into a folder, which is made; return them. Raises ResultError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for exporter in EXPORTS.values():
-            path = folder / exporter.file_name
-            # The other formats may well hold a name that this one cannot.
-            with suppress(ConfigError):
-                path.write_bytes(exporter.encode(placement))
-                written.append(path)
+        for name, data in contents.items():
+            (folder / name).write_bytes(data)
     except OSError as error:
         raise ResultError(f'{folder} cannot be written: {error.strerror or error}') from error
-    return written
+    return [folder / name for name in contents]

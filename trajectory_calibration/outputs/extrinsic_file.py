@@ -8,13 +8,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from trajectory_calibration.config.yaml_file import parse_yaml
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
-from trajectory_calibration.errors import ConfigError, in_words, SourceError
+from trajectory_calibration.errors import ConfigError, counted, in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.frame_tree import FrameTree
@@ -23,6 +23,9 @@ FORMS = (
     'one row [t] x y z qx qy qz qw; 4 x 4 or 3 x 4 numbers (text or .npy); x y z roll pitch yaw '
     'in metres and radians; URDF <origin>; KITTI calib file; Kalibr camchain; Autoware sensor '
     'kit; a saved result; an export of this tool')
+
+
+_T = TypeVar('_T')
 
 
 class KnownExtrinsic(NamedTuple):
@@ -183,7 +186,7 @@ def _from_numbers(lines: list[str], file: Path) -> KnownExtrinsic:
                               'one row of a matrix, taken as the pose of b in a')
     if widths in ([4] * 4, [4] * 3):
         return KnownExtrinsic(_rigid(np.array(rows), file), 'matrix, taken as the pose of b in a')
-    found = f'{len(rows)} rows of {widths[0]} numbers' if rows else 'no numbers'
+    found = f'{counted(len(rows), "row")} of {widths[0]} numbers' if rows else 'no numbers'
     raise SourceError(f'{file} holds {found}, needed one transform: {FORMS}')
 
 
@@ -198,19 +201,15 @@ def _from_row(values: FloatArray, file: Path) -> KnownExtrinsic:
 def _from_urdf(
     tree: FrameTree, key: str | None, frame_a: str | None, frame_b: str | None,
 ) -> KnownExtrinsic:
-    joints = list(tree.joints.values())
-    if key is not None:
-        joints = [joint for joint in joints if key in (joint.name, joint.child)]
-    elif frame_a and frame_b and {frame_a, frame_b} <= (
-            set(tree.joints) | {joint.parent for joint in joints}):
+    links = set(tree.joints) | {joint.parent for joint in tree.joints.values()}
+    if key is None and frame_a and frame_b and {frame_a, frame_b} <= links:
         return KnownExtrinsic(tree.transform(frame_a, frame_b),
                               f'URDF, the pose of {frame_b} in {frame_a}')
-    if len(joints) != 1:
-        names = ', '.join(joint.name for joint in tree.joints.values())
-        raise SourceError(
-            f'{tree.path} holds {len(joints)} joints{f" named {key}" if key else ""}, needed one: '
-            f'append #JOINT to the file ({names}), or name the frames as the links are named')
-    joint = joints[0]
+    joints = {joint.name: joint for joint in tree.joints.values()}
+    # A link names the joint above it, too.
+    name = tree.joints[key].name if key in tree.joints else key
+    joint = _only(joints, name, tree.path, 'joint', 'JOINT',
+                  ', or name the frames as the links are named')
     named = f'the pose of {joint.child} in {joint.parent}' if joint.child else 'origin'
     return KnownExtrinsic(joint.T_parent_child, f'URDF, {named}, taken as the pose of b in a')
 
@@ -228,14 +227,8 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
     if key is None:
         # Camera 0 in camera 0 is no news.
         matrices.pop('00', None)
-    else:
-        matrices = {name: matrix for name, matrix in matrices.items() if name == key}
-    if len(matrices) != 1:
-        raise SourceError(
-            f'{file} holds {len(matrices)} transforms{f" named {key}" if key else ""}, needed '
-            f'one{": append #" + " or #".join(matrices) + " to the file" if matrices else ""}; '
-            'of a KITTI calib file R and T, R_02 and T_02, or Tr are read')
-    (matrix,) = matrices.values()
+    matrix = _only(matrices, key, file,
+                   more='; of a KITTI calib file R and T, R_02 and T_02, or Tr are read')
     return KnownExtrinsic(
         se3.inverse(_rigid(matrix, file)),
         'KITTI, which maps points of the first sensor to the second (calib_velo_to_cam: a velo, '
@@ -280,40 +273,47 @@ def _from_mapping(
 
 
 def _from_kalibr(cameras: Mapping[str, Any], file: Path, key: str | None) -> KnownExtrinsic:
-    if key is None and len(cameras) > 1:
-        raise SourceError(f'{file} holds {len(cameras)} transforms, needed one: append '
-                          f'#{" or #".join(cameras)} to the file')
-    last = key or next(iter(cameras))
+    picked = _only(cameras, key, file)
     T_last_first = np.eye(4)
     for name in sorted(cameras, key=lambda text: int(re.sub(r'\D', '', text) or 0)):
         T_last_first = _rigid(
             np.array(cameras[name]['T_cn_cnm1'], dtype=np.float64), file) @ T_last_first
-        if name == last:
-            return KnownExtrinsic(
-                se3.inverse(T_last_first),
-                f'Kalibr, whose T_cn_cnm1 maps points of the camera before to the next; inverted '
-                f'to the pose of {last} (b) in the first camera (a)')
-    raise SourceError(f'{file} has no {last}; it has {", ".join(cameras)}')
+        if cameras[name] is picked:
+            break
+    return KnownExtrinsic(
+        se3.inverse(T_last_first),
+        'Kalibr, whose T_cn_cnm1 maps points of the camera before to the next; inverted '
+        f'to the pose of {name} (b) in the first camera (a)')
 
 
 def _from_autoware(
     data: Mapping[Any, Any], file: Path, key: str | None, frame_a: str | None,
     frame_b: str | None,
 ) -> KnownExtrinsic:
-    found = {}
+    found: dict[str, tuple[str, str, FloatArray]] = {}
     for base, children in data.items():
         for child, pose in children.items():
-            found[str(base), str(child)] = np.array(
-                [pose[name] for name in ('x', 'y', 'z', 'roll', 'pitch', 'yaw')], np.float64)
-    if key is not None:
-        found = {names: values for names, values in found.items() if names[1] == key}
-    elif (frame_a, frame_b) in found:
-        found = {names: values for names, values in found.items() if names == (frame_a, frame_b)}
-    if len(found) != 1:
-        names = ' or #'.join(child for _, child in found)
-        raise SourceError(
-            f'{file} holds {len(found)} transforms, needed one: append #{names or "SENSOR"} to '
-            'the file')
-    ((base, child), values), = found.items()
+            values = np.array([pose[name] for name in (*'xyz', 'roll', 'pitch', 'yaw')], float)
+            # A child of two bases is named with each.
+            name = f'{base}/{child}' if child in found else str(child)
+            found[name] = str(base), str(child), values
+    if key is None and frame_b in found and found[frame_b][0] == frame_a:
+        key = frame_b
+    base, child, values = _only(found, key, file)
     return KnownExtrinsic(_from_row(values, file).T_a_b,
                           f'Autoware, the pose of {child} in {base}, taken as that of b in a')
+
+
+def _only(
+    found: Mapping[str, _T], key: str | None, file: Path, kind: str = 'transform',
+    example: str = '', more: str = '',
+) -> _T:
+    """Return the item that ``#key`` picks, or the only one."""
+    picked = [item for name, item in found.items() if key in (None, name)]
+    if len(picked) == 1:
+        return picked[0]
+    names = f'#{example} to the file ({", ".join(found)})' if example else (
+        f'#{" or #".join(found)} to the file')
+    raise SourceError(
+        f'{file} holds {counted(len(picked), kind)}{f" named {key}" if key else ""}, needed one'
+        f'{f": append {names}" if found else ""}{more}')
