@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from trajectory_calibration.assessment.observability import axis_name
+from trajectory_calibration.assessment.observability import axis_name, DEGREES_OF_FREEDOM
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -54,9 +54,9 @@ class Advice:
     @property
     def std(self) -> FloatArray | None:
         """Return (6,) standard deviations, metres and degrees, or None."""
-        if self.result is None or self.result.covariance is None:
+        std = None if self.result is None else self.result.std
+        if std is None:
             return None
-        std = np.sqrt(np.maximum(np.diagonal(self.result.covariance), 0.0))
         return np.concatenate([std[:3], np.rad2deg(std[3:])])
 
     def sufficient(self, translation_limit: float, rotation_limit_deg: float) -> bool:
@@ -76,7 +76,7 @@ class Advice:
                         'stays open')
             return f'enough motion: call ~/calibrate{left_out}'
         worst = int(np.argmax(ratios))
-        name = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')[worst]
+        name = DEGREES_OF_FREEDOM[worst]
         limit = translation_limit if worst < 3 else rotation_limit_deg
         std = self.std
         unknown = (std is None or name in result.observability.unobserved

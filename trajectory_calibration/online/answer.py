@@ -9,7 +9,6 @@ import json
 import numpy as np
 
 from trajectory_calibration.errors import counted
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.screen import deviation_words, transform_words
 from trajectory_calibration.result import CalibrationResult
 
@@ -65,17 +64,12 @@ def describe(result: CalibrationResult, *notes: str) -> str:
 
 def summary(result: CalibrationResult) -> str:
     """Return what a program needs in one line of JSON; ``~/result`` has everything."""
-    T, covariance = result.T_a_b, result.covariance
-    std = None if covariance is None else np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    data = result.to_dict()
+    pose = data['T_a_b']
     return json.dumps({
-        'frame_a': result.frame_a,
-        'frame_b': result.frame_b,
-        'translation_m': T[:3, 3].tolist(),
-        'rotation_xyzw': se3.rotation_to_quaternion(T[:3, :3]).tolist(),
-        'translation_std_m': None if std is None else std[:3].tolist(),
-        'rotation_std_deg': None if std is None else np.rad2deg(std[3:]).tolist(),
-        'status': dict(result.observability.status),
-        'scale': result.scale,
-        'time_offset_s': result.time_offset_s,
+        **{name: data[name] for name in ('frame_a', 'frame_b', 'scale', 'time_offset_s')},
+        **{name: pose[name] for name in ('translation_m', 'rotation_xyzw', 'status')},
+        'translation_std_m': data['std_m'],
+        'rotation_std_deg': data['std_deg'],
         'findings': [finding.code for finding in result.findings],
     })

@@ -165,27 +165,18 @@ def _overview(data: ReportData) -> Figure:
 
 def _parts(data: ReportData) -> Figure:
     figure = _figure(10, 5, f'{_title(data.result)}: parts of the data, minus the answer')
-    parts = data.parts
-    P = data.result.covariance
     for k in range(6):
         axes = figure.add_subplot(2, 3, k + 1)
-        limit = data.rows[k].unobserved_limit
-        names = [f'Q{n + 1}' for n in range(len(parts.quarters))]
-        names += [f'{value:g} s' for value in parts.scales_s]
-        values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
-        std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
-        is_open = data.result.observability.status[AXES[k]] == 'unobserved'
-        known = np.isfinite(std) & (std < limit) & (not is_open)
-        place = np.arange(len(names))
-        axes.errorbar(place[known], values[known], 2 * std[known], fmt='o', ms=3, color=_A,
-                      capsize=2, lw=1)
+        found = data.of_parts(k)
+        place = np.arange(len(found.names))
+        axes.errorbar(place[found.known], found.values[found.known], 2 * found.std[found.known],
+                      fmt='o', ms=3, color=_A, capsize=2, lw=1)
         axes.axhline(0, color=_SOFT, lw=0.8)
-        if P is not None and not is_open:
-            own = 2 * float(np.sqrt(max(P[k, k], 0)))
-            own = float(np.rad2deg(own)) if k >= 3 else own
-            axes.axhspan(-own, own, color=_A, alpha=0.12, lw=0)
-        axes.set_xticks(place, names, rotation=45)
-        _plain(axes, AXES[k] + (': unknown' if is_open else ''), '', unit_of(k))
+        if not found.is_open:
+            axes.axhspan(-2 * found.own, 2 * found.own, color=_A, alpha=0.12, lw=0)
+        axes.set_xticks(place, [name if name.startswith('Q') else f'{name} s'
+                                for name in found.names], rotation=45)
+        _plain(axes, AXES[k] + (': unknown' if found.is_open else ''), '', unit_of(k))
     return figure
 
 

@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, UNOBSERVED
 from trajectory_calibration.data.motion_pairs import reference_indices
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
@@ -41,6 +42,8 @@ _SCALE_PARTS = 8
 _SCALE_SECONDS = (2.0, 1.0, 0.5, 0.2)
 # A scale that is so many times as uncertain as the others is not shown.
 _VAGUE = 8.0
+# A part that is off by so many deviations, and this share of the limit of weak, contradicts.
+_FAR, _NOTABLE = 3.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,32 @@ class PathScale:
 
 
 @dataclass(frozen=True, eq=False)
+class PartAnswers:
+    """One number from each quarter and each time scale, minus the answer; metres or degrees.
+
+    Attributes
+    ----------
+    quarters : how many of the parts are quarters; they come first.
+    names : 'Q1' ... 'Q4', and the seconds of each time scale.
+    values, std : (N,).
+    own : standard deviation of the answer.
+    known : (N,) bool, the part tells this number.
+    far : (N,) bool, it contradicts the answer.
+    is_open : nothing tells it.
+
+    """
+
+    quarters: int
+    names: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+    own: float
+    known: NDArray[np.bool_]
+    far: NDArray[np.bool_]
+    is_open: bool
+
+
+@dataclass(frozen=True, eq=False)
 class ReportData:
     """One result and what its figures show."""
 
@@ -104,6 +133,22 @@ class ReportData:
         gain = np.array(observability.translation_gain)
         need = float(np.min(std * gain)) / max(self.result.config.weak_translation, 1e-9)
         return float(np.rad2deg(need))
+
+    def of_parts(self, k: int) -> PartAnswers:
+        """Return what the parts say of the k-th of the six numbers."""
+        parts, limits = self.parts, self.rows[k]
+        values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
+        std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
+        own = 0.0 if self.result.std is None else float(self.result.std[k])
+        own = float(np.rad2deg(own)) if k >= 3 else own
+        is_open = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
+        known = np.isfinite(std) & (std < limits.unobserved_limit) & (not is_open)
+        # Beyond chance, and beyond what anybody would call a difference.
+        far = known & (np.abs(values) > _FAR * np.hypot(std, own)) & (
+            np.abs(values) > _NOTABLE * limits.weak_limit)
+        names = (*(f'Q{n + 1}' for n in range(len(parts.quarters))),
+                 *(f'{seconds:g}' for seconds in parts.scales_s))
+        return PartAnswers(len(parts.quarters), names, values, std, own, known, far, is_open)
 
 
 def report_data(

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.clocks import Clocks
 from trajectory_calibration.outputs.report.data import PathScale, ReportData
 from trajectory_calibration.outputs.report.figures import label, limits, Plot
 
-AXES = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
+AXES = DEGREES_OF_FREEDOM
 # A share of the range that the largest values may be cut off at.
 _MOST = 0.995
 # Jumps that are marked, the largest.
@@ -102,38 +103,24 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> str:
 
 def part_plot(data: ReportData, k: int) -> str:
     """Draw what quarters and time scales say of one number, relative to the answer."""
-    parts, row = data.parts, data.rows[k]
-    P = data.result.covariance
-    own = 0.0 if P is None else float(np.sqrt(max(P[k, k], 0.0)))
-    own = float(np.rad2deg(own)) if k >= 3 else own
-    is_open = data.result.observability.status[AXES[k]] == 'unobserved'
-    points = [(n, parts.quarters[n, k], parts.quarter_std[n, k])
-              for n in range(len(parts.quarters))]
-    offset = len(points) + 1
-    points += [(offset + n, parts.scales[n, k], parts.scale_std[n, k])
-               for n in range(len(parts.scales))]
-    known = [point for point in points
-             if np.isfinite(point[2]) and point[2] < row.unobserved_limit and not is_open]
-    reach = max([2.2 * own] + [abs(value) + 2 * std for _, value, std in known]) \
-        if known else max(own, 1e-3)
+    found, row = data.of_parts(k), data.rows[k]
     # One wild part must not flatten the others.
-    reach = min(reach, max(8 * own, 3 * row.weak_limit))
-    names = [(n, f'Q{n + 1}') for n in range(len(parts.quarters))]
-    names += [(offset + n, label(value)) for n, value in enumerate(parts.scales_s)]
-    plot = Plot((-0.6, (names[-1][0] if names else 1) + 0.6), (-reach, reach), height=150,
-                name=f'{AXES[k]} from parts of the data', x_ticks=names,
+    reach = max(2.2 * found.own, 1e-3, *(np.abs(found.values) + 2 * found.std)[found.known])
+    reach = float(min(reach, max(8 * found.own, 3 * row.weak_limit)))
+    # A free place parts the quarters from the time scales.
+    places = [n + (n >= found.quarters) for n in range(len(found.names))]
+    x = (-0.6, (places or [1])[-1] + 0.6)
+    plot = Plot(x, (-reach, reach), height=150, name=f'{AXES[k]} from parts of the data',
+                x_ticks=list(zip(places, found.names, strict=True)),
                 x_label='quarters | time scales, s', y_label=f'{AXES[k]}, {unit_of(k)}')
-    if is_open:
-        plot.write((offset + len(parts.scales)) / 2 - 0.5, 0.0, 'not determined by the motion',
-                   'middle')
+    if found.is_open:
+        plot.write(sum(x) / 2, 0.0, 'not determined by the motion', 'middle')
         return plot.svg()
-    plot.band([-0.6, names[-1][0] + 0.6 if names else 1.6], [-2 * own] * 2, [2 * own] * 2,
-              'band-answer')
+    plot.band(x, [-2 * found.own] * 2, [2 * found.own] * 2, 'band-answer')
     plot.horizontal(0.0, 'zero')
-    for place, value, std in points:
-        if (place, value, std) in known:
-            far = abs(value) > 3 * np.hypot(std, own) and abs(value) > 0.2 * row.weak_limit
-            plot.error_bar(place, value, std, 'far' if far else 'near')
+    for n, place in enumerate(places):
+        if found.known[n]:
+            plot.error_bar(place, found.values[n], found.std[n], 'far' if found.far[n] else 'near')
         else:
             plot.write(place, 0.0, '?', 'middle')
     return plot.svg()

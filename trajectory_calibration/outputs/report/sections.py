@@ -128,24 +128,16 @@ def _parts(data: ReportData) -> str:
 
 
 def _agreement(data: ReportData, k: int) -> str:
-    parts, row = data.parts, data.rows[k]
-    if data.result.observability.status[draw.AXES[k]] == UNOBSERVED:
+    found = data.of_parts(k)
+    if found.is_open:
         return 'Not determined by the motion.'
-    value = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
-    std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
-    known = np.isfinite(std) & (std < row.unobserved_limit)
-    if not known.any():
+    if not found.known.any():
         return 'No part alone tells it.'
-    names = [f'Q{n + 1}' for n in range(len(parts.quarters))]
-    names += [f'{seconds:g} s' for seconds in parts.scales_s]
-    P = data.result.covariance
-    own = 0.0 if P is None else float(np.sqrt(max(P[k, k], 0.0)))
-    own = float(np.rad2deg(own)) if k >= 3 else own
-    far = known & (np.abs(value) > 3 * np.hypot(std, own)) & (
-        np.abs(value) > 0.2 * row.weak_limit)
-    if not far.any():
-        return f'All {int(known.sum())} parts that tell agree.'
-    return f'Disagree: {", ".join(np.array(names)[far])}.'
+    if not found.far.any():
+        return f'All {int(found.known.sum())} parts that tell agree.'
+    names = (name if name.startswith('Q') else f'{name} s'
+             for name in np.array(found.names)[found.far])
+    return f'Disagree: {", ".join(names)}.'
 
 
 def _residuals(data: ReportData) -> str:
