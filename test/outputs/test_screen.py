@@ -46,7 +46,9 @@ def test_points_stand_below_each_other_and_every_number_has_a_mark():
 
 
 def test_what_is_unobserved_is_no_number():
-    result = make(status={'z': 'unobserved', 'rotation y': 'weak'})
+    way_out = 'add --prior-translation=-,-,Z --prior-translation-std=0.01'
+    result = make(status={'z': 'unobserved', 'rotation y': 'weak'},
+                  findings=(Finding('direction-unobserved', way_out),))
     lines = format_result(result).splitlines()
     assert lines[3].split() == ['z', 'unknown', 'unknown']
     assert lines[5].split()[-1] == 'weak'

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.align import match_at
 from trajectory_calibration.time_alignment.clock_offset import Clock
@@ -56,16 +57,4 @@ def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Ove
     poses_b[:, :3, 3] *= result.scale
     poses_b = poses_b @ se3.inverse(result.T_a_b)
     return Overlay(a.world_frame, pairs.stamps_ns[chosen], poses_a,
-                   _world_transform(poses_a, poses_b) @ poses_b)
-
-
-def _world_transform(poses_a: FloatArray, poses_b: FloatArray) -> FloatArray:
-    """Return the (4, 4) Z for which ``Z poses_b`` is closest to ``poses_a``, both (K, 4, 4).
-
-    The rotation is the mean of those of the single poses, the translation the mean of what
-    then remains: a fit of the positions alone would be free to turn about a straight drive.
-    """
-    rotations = poses_a[:, :3, :3] @ np.swapaxes(poses_b[:, :3, :3], 1, 2)
-    R = se3.nearest_rotation(rotations.mean(axis=0))
-    t = (poses_a[:, :3, 3] - poses_b[:, :3, 3] @ R.T).mean(axis=0)
-    return se3.from_rotation_translation(R, t)
+                   registration(poses_a, poses_b) @ poses_b)

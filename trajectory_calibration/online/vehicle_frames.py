@@ -16,26 +16,16 @@ node listens first, and ``VehicleFrames.place`` says which edge carries the extr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.frame_tree import between, Edge, upwards
 
 # Transforms of this difference, metres and radians, are one that was published twice.
 _SAME = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Edge:
-    """One transform of the vehicle: ``T_parent_child`` (4, 4) is the pose of a frame."""
-
-    parent: str
-    child: str
-    T_parent_child: FloatArray
-    static: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +67,8 @@ class VehicleFrames:
         self, parent: str, child: str, T_parent_child: FloatArray, *, static: bool,
     ) -> None:
         """Take a transform as it arrives; what this node published itself is left out."""
-        edge = Edge(parent.lstrip('/'), child.lstrip('/'), T_parent_child, static)
+        edge = Edge(parent.lstrip('/'), child.lstrip('/'), T_parent_child,
+                    'fixed' if static else 'moving')
         if not edge.parent or not edge.child or edge.parent == edge.child:
             return
         if static and any(_is_same(edge, own) for own in self._published):
@@ -99,20 +90,8 @@ class VehicleFrames:
 
     def transform(self, frame_a: str, frame_b: str) -> FloatArray | None:
         """Return the (4, 4) pose of frame b in frame a, None where that is not fixed."""
-        found = self._between(frame_a, frame_b)
-        return found[0] if found is not None and found[1] else None
-
-    def _between(self, frame_a: str, frame_b: str) -> tuple[FloatArray, bool] | None:
-        """Return the (4, 4) pose of b in a at the last transforms, and whether it is fixed.
-
-        None where the two are in separate trees.
-        """
-        above_a = {frame: (T, fixed) for frame, T, fixed in self._upwards(frame_a)}
-        for frame, T_frame_b, fixed_b in self._upwards(frame_b):
-            if frame in above_a:
-                T_frame_a, fixed_a = above_a[frame]
-                return se3.inverse(T_frame_a) @ T_frame_b, fixed_a and fixed_b
-        return None
+        found = between(self._edges, frame_a, frame_b)
+        return found[0] if found is not None and found[1] is None else None
 
     def place(
         self, frame_a: str, frame_b: str, T_a_b: FloatArray,
@@ -136,11 +115,12 @@ class VehicleFrames:
             if name in invented:
                 return Placement(None, f'the messages name no frame for {name}; set {setting}')
         parent_a, parent_b = self._edges.get(frame_a), self._edges.get(frame_b)
-        found = self._between(frame_a, frame_b)
+        found = between(self._edges, frame_a, frame_b)
         if found is not None:
-            cure = ('correct that transform, for instance in the URDF, instead of adding a second'
-                    if found[1] else 'a SLAM or an odometry publishes it: switch off the TF of '
-                    'one of the two')
+            cure = (
+                'correct that transform, for instance in the URDF, instead of adding a second'
+                if found[1] is None else
+                'a SLAM or an odometry publishes it: switch off the TF of one of the two')
             return Placement(None, (
                 f'the vehicle already connects {frame_a} and {frame_b} ({self._way(frame_b)}); '
                 f'{cure}'))
@@ -162,28 +142,13 @@ class VehicleFrames:
             f'{parent_a.parent}, in two trees that both move; publish the transform that '
             'connects them yourself'))
 
-    def _upwards(self, frame: str) -> Iterator[tuple[str, FloatArray, bool]]:
-        """Yield a frame and those above it, with the pose of the first in each.
-
-        The flag tells whether everything between is fixed. A circle ends where it closes.
-        """
-        T, fixed, seen = np.eye(4), True, set()
-        while frame not in seen:
-            yield frame, T, fixed
-            seen.add(frame)
-            edge = self._edges.get(frame)
-            if edge is None:
-                return
-            T, fixed = edge.T_parent_child @ T, fixed and edge.static
-            frame = edge.parent
-
     def _fixed_top(self, frame: str) -> tuple[str, FloatArray, bool]:
         """Return the highest frame that is fixed to this one, the pose in it, and if a root."""
-        top, T_top, _ = [item for item in self._upwards(frame) if item[2]][-1]
+        top, T_top, _ = [item for item in upwards(self._edges, frame) if item[2] is None][-1]
         return top, T_top, top not in self._edges
 
     def _way(self, frame: str) -> str:
-        return ' <- '.join(name for name, _, _ in self._upwards(frame))
+        return ' <- '.join(name for name, _, _ in upwards(self._edges, frame))
 
 
 def difference(T_a_b: FloatArray, T_a_b_today: FloatArray) -> str:

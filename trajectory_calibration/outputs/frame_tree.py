@@ -1,9 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The fixed joints of a URDF: where one frame of a robot sits in another."""
+"""Where one frame of a robot sits in another: frames with one parent each, as in URDF and TF."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,14 +20,58 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
-    """One joint: ``T_parent_child`` (4, 4) is the pose of the child link in the parent link."""
+class Edge:
+    """One transform of a tree.
 
-    name: str
-    kind: str
+    Attributes
+    ----------
+    parent, child : names of the frames, the links of a joint.
+    T_parent_child : (4, 4), the pose of the child in the parent, metres.
+    kind : 'fixed' where it never changes; other joints of a URDF, 'moving' in TF.
+    name : of a joint.
+
+    """
+
     parent: str
     child: str
     T_parent_child: FloatArray
+    kind: str = 'fixed'
+    name: str = ''
+
+
+def upwards(
+    edges: Mapping[str, Edge], frame: str,
+) -> Iterator[tuple[str, FloatArray, Edge | None]]:
+    """Yield a frame and those above it: name, (4, 4) pose of the first in it, and what moves.
+
+    ``edges`` by their child. What moves is an edge between that is not fixed, or None. A circle
+    ends where it closes.
+    """
+    T, moving, seen = np.eye(4), None, set()
+    while frame not in seen:
+        yield frame, T, moving
+        seen.add(frame)
+        edge = edges.get(frame)
+        if edge is None:
+            return
+        T, moving = edge.T_parent_child @ T, moving if edge.kind == 'fixed' else edge
+        frame = edge.parent
+
+
+def between(
+    edges: Mapping[str, Edge], parent: str, child: str,
+) -> tuple[FloatArray, Edge | None] | None:
+    """Return the (4, 4) pose of one frame in another, and what moves between them, or None.
+
+    None where the two are in separate trees.
+    """
+    above = {frame: (T, moving) for frame, T, moving in upwards(edges, parent)}
+    for frame, T_frame_child, moving in upwards(edges, child):
+        if frame in above:
+            T_frame_parent, moves = above[frame]
+            T: FloatArray = se3.inverse(T_frame_parent) @ T_frame_child
+            return T, moving or moves
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +79,7 @@ class FrameTree:
     """The joints of one URDF, by child link: a link has one parent."""
 
     path: Path
-    joints: dict[str, Joint]
+    joints: dict[str, Edge]
 
     @classmethod
     def read(cls, path: Path) -> FrameTree:
@@ -68,7 +113,7 @@ class FrameTree:
                   if item.find('parent') is not None]
         if not joints:
             # <origin xyz rpy> alone is what people paste.
-            joints = [Joint('origin', 'fixed', '', '', _origin(item, path))
+            joints = [Edge('', '', _origin(item, path), name='origin')
                       for item in root.iter('origin')]
         if not joints:
             raise SourceError(f'{path} holds no <joint> and no <origin>; needed a URDF; a xacro '
@@ -89,52 +134,33 @@ class FrameTree:
             A frame is missing, the two are not connected, or a joint between them moves.
 
         """
-        up_parent, up_child = self._chain(parent), self._chain(child)
-        common = next((frame for frame in up_child if frame in up_parent), None)
-        if common is None:
+        known = set(self.joints) | {joint.parent for joint in self.joints.values()}
+        for frame in (parent, child):
+            if frame not in known:
+                raise SourceError(f'{self.path} has no link {frame}; it has '
+                                  f'{", ".join(sorted(known - {""}))}')
+        found = between(self.joints, parent, child)
+        if found is None:
+            roots = [list(upwards(self.joints, frame))[-1][0] for frame in (parent, child)]
             raise SourceError(f'{self.path} does not connect {parent} and {child}: '
-                              f'{parent} belongs to {list(up_parent)[-1]}, {child} to '
-                              f'{list(up_child)[-1]}')
-        T_parent_child: FloatArray = se3.inverse(
-            self._pose(up_parent, common)) @ self._pose(up_child, common)
+                              f'{parent} belongs to {roots[0]}, {child} to {roots[1]}')
+        T_parent_child, moving = found
+        if moving is not None:
+            raise SourceError(
+                f'{self.path}: joint {moving.name} between {moving.parent} and {moving.child} '
+                f'is {moving.kind}, needed fixed joints only; give the transform itself')
         return T_parent_child
 
-    def _chain(self, frame: str) -> dict[str, Joint | None]:
-        """Return the frames from one up to the root, each with the joint above it."""
-        known = set(self.joints) | {joint.parent for joint in self.joints.values()}
-        if frame not in known:
-            raise SourceError(f'{self.path} has no link {frame}; it has '
-                              f'{", ".join(sorted(known - {""}))}')
-        chain: dict[str, Joint | None] = {}
-        current: str | None = frame
-        while current is not None and current not in chain:
-            joint = self.joints.get(current)
-            chain[current] = joint
-            current = None if joint is None else joint.parent
-        return chain
 
-    def _pose(self, chain: dict[str, Joint | None], common: str) -> FloatArray:
-        """Return the (4, 4) pose of the first frame of a chain in a frame further up."""
-        T = np.eye(4)
-        for frame, joint in chain.items():
-            if frame == common or joint is None:
-                break
-            if joint.kind != 'fixed':
-                raise SourceError(
-                    f'{self.path}: joint {joint.name} between {joint.parent} and {joint.child} '
-                    f'is {joint.kind}, needed fixed joints only; give the transform itself')
-            T = joint.T_parent_child @ T
-        return T
-
-
-def _joint(item: ET.Element, path: Path) -> Joint:
+def _joint(item: ET.Element, path: Path) -> Edge:
     origin = item.find('origin')
     parent, child = item.find('parent'), item.find('child')
     if parent is None or child is None:
         raise SourceError(f'{path}: joint {item.get("name")} has no parent or no child')
-    return Joint(
-        item.get('name', ''), item.get('type', 'fixed'), parent.get('link', ''),
-        child.get('link', ''), np.eye(4) if origin is None else _origin(origin, path))
+    return Edge(
+        parent.get('link', ''), child.get('link', ''),
+        np.eye(4) if origin is None else _origin(origin, path),
+        item.get('type', 'fixed'), item.get('name', ''))
 
 
 def _origin(item: ET.Element, path: Path) -> FloatArray:

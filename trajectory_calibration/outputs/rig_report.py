@@ -18,7 +18,8 @@ from trajectory_calibration.outputs.report.figures import Canvas, ellipse, limit
 from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.render import finding_list
-from trajectory_calibration.outputs.report.text import figure, section, table
+from trajectory_calibration.outputs.report.text import figure, next_step, section, table
+from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import sensor_rows
 from trajectory_calibration.rig.result import PairReport, RigResult
@@ -98,11 +99,10 @@ def _box(rig: RigResult) -> str:
     head = (*('sensor', 'in')[:len(rig.trees)], 'x, m', 'y, m', 'z, m', 'roll, deg',
             'pitch, deg', 'yaw, deg', 'clock, ms', 'scale')
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
-    step = f'<p class="next"><b>Next</b>{escape(worst)}</p>' if worst else ''
     return (f'<section class="verdict {style}"><div class="head">'
             f'<h1>Rig of {len(rig.sensors)} sensors in {escape(rig.base)}</h1>'
             f'<p class="badge">{badge}</p></div><p class="sentence">{escape(loops)}</p>'
-            f'{table(head, rows)}{step}</section>')
+            f'{table(head, rows)}{next_step(worst)}</section>')
 
 
 def _view(rig: RigResult, first: int, second: int) -> str:
@@ -262,17 +262,11 @@ def _carried(rig: RigResult, name: str, trajectory: Trajectory) -> Track:
 def _laid(grid: Grid) -> FloatArray:
     """Return (S, K, 3) positions of the base in the world of the first sensor; NaN: unknown."""
     found = np.full((*grid.known.shape, 3), np.nan)
-    positions = grid.poses[..., :3, 3]
-    found[0, grid.known[0]] = positions[0, grid.known[0]]
-    for s in range(1, len(found)):
-        both = grid.known[0] & grid.known[s]
-        if np.count_nonzero(both) < 3:
-            continue
-        p, q = positions[0, both], positions[s, both]
-        # The rotation of the mean attitude: positions on a line would leave it open.
-        R = se3.nearest_rotation(np.mean(
-            grid.poses[0, both, :3, :3] @ np.swapaxes(grid.poses[s, both, :3, :3], 1, 2), axis=0))
-        found[s, grid.known[s]] = positions[s, grid.known[s]] @ R.T + p.mean(0) - R @ q.mean(0)
+    for s, (poses, known) in enumerate(zip(grid.poses, grid.known, strict=True)):
+        both = grid.known[0] & known
+        if np.count_nonzero(both) >= 3:
+            Z = registration(grid.poses[0, both], poses[both])
+            found[s, known] = (Z @ poses[known])[:, :3, 3]
     return found
 
 

@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 
 from trajectory_calibration.outputs.answer import Row
+from trajectory_calibration.outputs.report.text import next_step
 from trajectory_calibration.outputs.verdict import Verdict
 from trajectory_calibration.result import CalibrationResult
 
@@ -52,7 +53,7 @@ def verdict_box(
         '<th scope="col" class="of-gauge">deviation</th>'
         f'<th scope="col">status</th>{error}</tr></thead>'
         f'<tbody>{body}</tbody></table></div>{limits}</div>{facts}</div>'
-        f'<p class="next"><b>Next</b> {escape(verdict.next_step)}</p>{copies}</section>')
+        f'{next_step(verdict.next_step)}{copies}</section>')
 
 
 def _against_truth(rows: tuple[Row, ...]) -> str:

@@ -22,7 +22,14 @@ from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.page import page, style
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
-from trajectory_calibration.outputs.report.text import figure, legend, metres, section
+from trajectory_calibration.outputs.report.text import (
+    figure,
+    legend,
+    metres,
+    next_step,
+    section,
+    sentence,
+)
 from trajectory_calibration.outputs.report.view3d import single_track
 from trajectory_calibration.outputs.verdict import judge
 from trajectory_calibration.result import CalibrationResult
@@ -50,7 +57,7 @@ def render(data: ReportData, record: Record | None = None) -> str:
         result, data.rows, judge(result, data.rows), copies(result),
         facts_list(result, _driven(data)))
     last = section(6, 'Record', record_cards(
-        record or Record(), result.config, _findings(result), result.version))
+        record or Record(), result.config, finding_list(result.findings), result.version))
     return page(
         f'{result.frame_a} → {result.frame_b}: calibration report', box + sections(data) + last,
         navigation=NAVIGATION, made_by=versions())
@@ -83,10 +90,9 @@ def render_failure(
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
     reason, advice = _reason_and_advice(error)
-    step = f'<p class="next"><b>Next</b> {escape(_sentence(advice))}</p>' if advice else ''
     box = ('<section class="verdict failed"><div class="head"><h1>Calibration failed</h1>'
            '<p class="badge">No answer</p></div>'
-           f'<p class="error">{escape(_sentence(reason))}</p>{step}</section>')
+           f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}</section>')
     figures = ''.join(_input_figure(name, trajectory)
                       for name, trajectory in zip('ab', trajectories, strict=False))
     if len(trajectories) == 2:
@@ -108,14 +114,6 @@ def _reason_and_advice(error: str) -> tuple[str, str]:
         return reason, advice
     reason, _, advice = error.rpartition('; ')
     return (reason, advice) if reason else (error, '')
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + ('' if text.endswith('.') else '.')
-
-
-def _findings(result: CalibrationResult) -> str:
-    return finding_list(result.findings)
 
 
 def finding_list(findings: Iterable[Finding]) -> str:

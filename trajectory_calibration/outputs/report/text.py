@@ -16,6 +16,16 @@ def metres(value: float) -> str:
     return f'{1e3 * value:.3g} mm' if value < 0.01 else f'{value:.2g} m'
 
 
+def sentence(text: str) -> str:
+    """Return a text with a capital and a full stop."""
+    return text[:1].upper() + text[1:] + ('' if text.endswith('.') else '.')
+
+
+def next_step(text: str) -> str:
+    """Return what a person should do now, '' for nothing."""
+    return f'<p class="next"><b>Next</b> {escape(sentence(text))}</p>' if text else ''
+
+
 def figure(title: str, picture: str, reading: str, good: str, bad: str, *, wide: bool = False,
            legend: str = '') -> str:
     """Return a figure with what it says here, and what good and bad look like."""

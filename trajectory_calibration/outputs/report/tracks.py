@@ -86,7 +86,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     poses_b = _in_time(poses_b, pairs.stamps_ns, result.diagnosis)
     pairs = PosePairs(pairs.stamps_ns, pairs.poses_a, poses_b, pairs.summary)
     poses_c = poses_b @ se3.inverse(result.T_a_b)
-    poses_c = _registration(pairs.poses_a, poses_c) @ poses_c
+    poses_c = registration(pairs.poses_a, poses_c) @ poses_c
     jumps = _jumps(result.diagnosis, pairs, poses_c)
     usable = np.ones(len(pairs) - 1, dtype=bool)
     usable[jumps - 1] = False
@@ -168,8 +168,11 @@ def _in_time(
     return moved
 
 
-def _registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
-    """Return (4, 4), what moves one track as a whole onto another, by rotations and positions."""
+def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
+    """Return (4, 4), what moves (K, 4, 4) poses c as a whole onto a, by rotations and positions.
+
+    Positions alone would leave a turn about a straight drive open.
+    """
     R_a, R_c = poses_a[:, :3, :3], poses_c[:, :3, :3]
     by_rotation = np.einsum('kij,klj->il', R_a, R_c) / len(poses_a)
     p_a, p_c = poses_a[:, :3, 3], poses_c[:, :3, 3]
