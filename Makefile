@@ -2,7 +2,7 @@
 #
 #   make demo    simulate a drive, calibrate it online and offline, compare with the truth
 #   make test      every check: style, types, the demo, all tests on the newest dependencies,
-#                  and those without statistics on the oldest
+#                  and those of the numbers on the oldest
 #   make test-all  the same, and the tests that take minutes: long statistics, soak, 50 signals
 #   make unit      only the tests on the newest
 #   make lint      only style and types
@@ -76,7 +76,7 @@ lint: $(VENV)/installed-for-tests
 
 # The same tests on the oldest supported dependencies, without ROS: what needs it is skipped.
 oldest: $(VENV)/oldest/installed
-	$(VENV)/oldest/bin/python -m pytest $(TOGETHER) -q -r fE -m 'not slow and not statistical'
+	$(VENV)/oldest/bin/python -m pytest $(TOGETHER) -q -r fE -m 'not slow and not statistical and not once'
 
 docs: $(VENV)/installed-for-tests
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/docs

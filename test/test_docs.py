@@ -11,6 +11,7 @@ import pytest
 
 from trajectory_calibration.data.findings import CATALOGUE, LEVELS
 
+pytestmark = pytest.mark.once
 DOCS = Path(__file__).resolve().parents[1] / 'docs'
 
 

@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.once
 PACKAGE = Path(__file__).resolve().parents[1] / 'trajectory_calibration'
 NAME = PACKAGE.name
 

@@ -17,6 +17,7 @@ import pytest
 
 import trajectory_calibration
 
+pytestmark = pytest.mark.once
 ROOT = Path(__file__).resolve().parents[1]
 NAME = 'trajectory_calibration'
 EXECUTABLES = ('calibration_node', NAME)

@@ -131,10 +131,12 @@ def test_clocks_too_far_apart_on_flat_ground(offset, seeds):
             calibrate(run.a, late, CalibrationConfig(solver='park', reference='B5'))
 
 
+@pytest.mark.statistical
+@thinned('seeds', 4, 12)
 @pytest.mark.parametrize('name', sorted(SCENARIOS))
-def test_one_vehicle_is_never_suspected(name):
+def test_one_vehicle_is_never_suspected(name, seeds):
     scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
-    for seed in range(12):
+    for seed in range(seeds):
         run = simulate(scenario, seed)
         pairs = associate(run.a, run.b)
         assert check_pairs(pairs, run.a, run.b, Clock(0.0), CalibrationConfig()) == ()
@@ -170,10 +172,12 @@ def test_a_slam_that_began_anew_is_said():
     assert found.absolute_errors(run.T_a_b).e_at < 0.03
 
 
+@pytest.mark.statistical
+@thinned('seeds', 4, 12)
 @pytest.mark.parametrize('name', sorted(SCENARIOS))
-def test_no_step_of_one_vehicle_parts(name):
+def test_no_step_of_one_vehicle_parts(name, seeds):
     scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
-    for seed in range(12):
+    for seed in range(seeds):
         run = simulate(scenario, seed)
         assert parted_steps(associate(run.a, run.b)) == ()
 

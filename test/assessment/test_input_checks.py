@@ -27,6 +27,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.sources.files import FileSource
 from trajectory_calibration.time_alignment.align import match
 
+pytestmark = pytest.mark.once
 CONFIG = CalibrationConfig()
 # One of each way to move.
 WAYS = ('car, scale and drift', 'hand-held', 'drone', 'legged', 'forklift (flat)')

@@ -53,6 +53,7 @@ def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
         assert any('translation along z of lidar' in warning for warning in found.warnings)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('solver', ['dnlo', 'ali', 'park', 'taylor', 'drift_aware'])
 def test_flat_ground_is_flagged_whoever_solves(solver):
     scenario = with_noise(FLAT, SMALL, SMALL)

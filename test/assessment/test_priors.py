@@ -6,6 +6,7 @@ from motion_data import perturb, random_pose, sensor_pair
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from thinning import thinned
 
 from trajectory_calibration import (
     calibrate,
@@ -156,10 +157,11 @@ def straight_drive(seed):
     return a, b, X
 
 
+@thinned('seeds', 1, 2)
 @pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'ali', 'park', 'taylor', 'zhuang',
                                     'drift_aware'])
-def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver):
-    for seed in range(2):
+def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver, seeds):
+    for seed in range(seeds):
         a, b, X = straight_drive(seed)
         config = CalibrationConfig(
             solver=solver, prior_rotation=text(rpy(X)), prior_rotation_std='1',
@@ -227,8 +229,10 @@ def test_a_fixed_rotation_is_exact():
     assert found.absolute_errors(truth).e_aR < 1e-9
 
 
-def test_a_tape_measure_closes_what_flat_ground_leaves_open():
-    for seed in range(10):
+@pytest.mark.statistical
+@thinned('seeds', 3, 10)
+def test_a_tape_measure_closes_what_flat_ground_leaves_open(seeds):
+    for seed in range(seeds):
         height = simulate(NOISY_FLAT, seed).T_a_b[2, 3]
         found, truth = run_with(NOISY_FLAT, seed, solver='dnl',
                                 prior_translation=f'-,-,{height + 0.01}',

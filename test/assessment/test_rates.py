@@ -12,6 +12,7 @@ from trajectory_calibration.data.motion_pairs import lag_grid
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import flat, Scenario, SCENARIOS, simulate, Unicycle
 
+pytestmark = pytest.mark.once
 FASTEST = 200.0
 
 

@@ -5,6 +5,7 @@
 from motion_data import random_pose, stamps, wander
 import numpy as np
 import pytest
+from thinning import thinned
 
 from trajectory_calibration import calibrate, CalibrationConfig, SolverError
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
@@ -70,14 +71,17 @@ def test_derivatives_agree_with_differences(name):
             (differences[0] - differences[1]) / 2e-6, found.disturbance[:, :, k], atol=1e-7)
 
 
+@pytest.mark.statistical
+@thinned('seeds', 10, 30)
 @pytest.mark.parametrize(('solver', 'reference', 'case'), [
     ('dnl', 'B5', 'white'), ('dnl', 'B5', 'mixture'), ('dnl', 'B1', 'walk'),
     ('dnl', 'C10', 'mixture'), ('dnlo', 'B5', 'mixture'), ('park', 'B5', 'white'),
     ('taylor', 'B20', 'walk'), ('ali', 'B5', 'white'), ('park', 'B5', 'offroad'),
     ('dnl', 'B5', 'offroad'),
 ])
-def test_intervals_cover_the_truth(solver, reference, case):
-    seeds = 8 if case == 'offroad' else 30
+def test_intervals_cover_the_truth(solver, reference, case, seeds):
+    if case == 'offroad':
+        seeds = 8
     config = CalibrationConfig(solver=solver, reference=reference, dnlo_method='path')
     nees, inside = [], []
     for seed in range(500, 500 + seeds):
@@ -92,6 +96,7 @@ def test_intervals_cover_the_truth(solver, reference, case):
     assert np.mean(inside) > 0.88
 
 
+@pytest.mark.statistical
 def test_reference_a_counts_what_all_motions_share():
     """All motions of A begin at one pose, whose error no spread of residuals shows."""
     inside = []
@@ -115,12 +120,14 @@ def test_more_overlap_is_not_more_data():
     assert (ratio > 0.8).all()
 
 
+@pytest.mark.statistical
+@thinned('seeds', 3, 10)
 @pytest.mark.parametrize('solver', ['dnl', 'park', 'ali'])
-def test_noise_does_not_pass_for_excitation(solver):
+def test_noise_does_not_pass_for_excitation(solver, seeds):
     """On flat ground nothing fixes the height: each direction found must contain it."""
     scenario = with_noise(Scenario(motion=Unicycle(ground=flat)),
                           Noise(white=0.005), Noise(white=0.005))
-    for seed in range(10):
+    for seed in range(seeds):
         motions, _ = motions_of(scenario, seed)
         solution = load_solver(solver)(motions, CalibrationConfig())
         found = estimate_uncertainty(solution, motions)

@@ -3,6 +3,7 @@
 """``python -m benchmarks.paper``: what it computes, what it writes, and that it continues."""
 
 import csv
+from importlib.util import find_spec
 import sys
 import xml.etree.ElementTree as ET
 
@@ -43,8 +44,9 @@ from trajectory_calibration.errors import (
 )
 from trajectory_calibration.fleet.executor import Executor
 
-pytest.importorskip('joblib', reason='joblib is not installed')
-pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+pytestmark = [pytest.mark.once, pytest.mark.skipif(
+    not (find_spec('joblib') and find_spec('matplotlib')),
+    reason='joblib or matplotlib is not installed')]
 
 QUICK = ('park', 'taylor')
 

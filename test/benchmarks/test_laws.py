@@ -11,6 +11,7 @@ from benchmarks.laws import apart, fast_drives, inverted, judge, larger
 from benchmarks.real import load_pairs
 from trajectory_calibration.geometry import se3
 
+pytestmark = pytest.mark.once
 SAME = ('swap', 'reversed', 'thinned 2', 'thinned 5', 'world', 'third')
 
 

@@ -137,6 +137,7 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
     assert finish(CalibrationConfig(solver='taylor'))[1] != other[1]
 
 
+@pytest.mark.once
 def test_killed_half_way_it_goes_on(drives, tmp_path):
     command = [sys.executable, '-m', 'trajectory_calibration', 'fleet', f'{drives}/drive*', *FAST,
                '--output', str(tmp_path)]
@@ -159,6 +160,7 @@ def test_killed_half_way_it_goes_on(drives, tmp_path):
         assert path.stat().st_mtime_ns == stamp
 
 
+@pytest.mark.once
 def test_dask_gives_the_same_table(drives, done, tmp_path, capsys):
     pytest.importorskip('distributed', reason='distributed is not installed')
     options = [*FAST[:-2], '--jobs', '2', '--backend', 'dask']

@@ -127,6 +127,7 @@ def test_what_a_power_cut_left_behind_is_in_nobodys_way(tmp_path, result):
     assert store.latest()[0] == path
 
 
+@pytest.mark.once
 def test_nodes_of_one_name_that_save_at_once_lose_nothing(tmp_path, result):
     code = (
         'import sys\n'
@@ -201,6 +202,7 @@ def test_a_folder_that_cannot_be_written_is_refused_at_once(tmp_path):
         ResultStore(str(tmp_path), '/node')
 
 
+@pytest.mark.once
 def test_a_kill_while_saving_leaves_every_earlier_result_whole(tmp_path, result):
     code = (
         'import sys\n'

@@ -60,6 +60,7 @@ def test_a_change_is_named_with_its_size(result):
         assert error @ np.linalg.solve(item.covariance, error) < 25
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('count', [2, 3, 12, 30])
 def test_unchanged_answers_agree(result, count):
     alarms = sum(compare(fleet(result, count, seed=seed)).exit_status > 0 for seed in range(60))
@@ -106,6 +107,7 @@ def test_a_row_of_the_table_reads_as_the_screen_of_its_result(result):
             ' '.join(words[1:4]) for words in screen)
 
 
+@pytest.mark.statistical
 def test_errors_a_little_larger_than_stated_are_no_change(result):
     alarms = 0
     for seed in range(20):

@@ -11,6 +11,7 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.once
 TUTORIALS = Path(__file__).resolve().parents[2] / 'docs' / 'tutorials'
 
 # A fenced block of shell; before it, in a comment, the exit status where it is not 0.

@@ -246,6 +246,7 @@ def test_a_position_that_is_late_is_found():
     assert absolute_errors(solution.T_a_b, T_a_b).e_at < 0.02
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize('noise', [
     {'white': (0.02, 0.02)},
     {'walk': (0.02, 0.005)},
@@ -370,6 +371,7 @@ def test_a_fit_that_did_not_settle_says_so(monkeypatch):
     assert 'drift_aware: stopped after 1 rounds before it settled' in finding.text
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize(('case', 'metres', 'degrees'), [
     (('mixture', None), 0.0088, 0.25),
     (('outliers', 10), 0.0005, 0.01),

@@ -463,7 +463,8 @@ def test_a_hundred_thousand_motions_take_seconds():
 
 
 @pytest.mark.parametrize('name', ['dnl', 'dnlo', 'park', 'drift_aware'])
-@pytest.mark.parametrize('seed', range(25))
+@pytest.mark.parametrize(
+    'seed', [*range(8), *(pytest.param(k, marks=pytest.mark.slow) for k in range(8, 25))])
 def test_any_two_trajectories_give_a_finite_answer_or_a_named_error(name, seed):
     """Sizes of motion and noise over many orders, jumps, missing poses, clocks, scales."""
     rng = np.random.default_rng(seed)

@@ -8,6 +8,7 @@ from motion_data import random_pose
 import numpy as np
 from published import kitti, SEQUENCES
 import pytest
+from thinning import thinned
 
 from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult, Trajectory
 from trajectory_calibration.geometry import se3
@@ -60,9 +61,10 @@ def test_finds_any_drift_within_its_own_error_bar(name, seconds, drift):
 
 
 @pytest.mark.statistical
-def test_the_error_bar_of_a_drift_is_honest():
+@thinned('seeds', 8, 24)
+def test_the_error_bar_of_a_drift_is_honest(seeds):
     scores = []
-    for seed in range(24):
+    for seed in range(seeds):
         run = simulate(drive('offroad', 300.0, drift=300 * PPM), 40 + seed)
         found = clock_of(run)
         scores.append((found.drift + 300 * PPM / (1 + 300 * PPM)) / found.drift_std)
@@ -74,9 +76,11 @@ def test_the_clock_of_a_is_the_one_that_counts():
     assert clock_of(run).drift == pytest.approx(50 * PPM, abs=4 * PPM)
 
 
+@pytest.mark.statistical
+@thinned('seeds', 4, 12)
 @pytest.mark.parametrize('name', sorted(SCENARIOS))
-def test_clocks_that_agree_never_drift(name):
-    for seed in range(12):
+def test_clocks_that_agree_never_drift(name, seeds):
+    for seed in range(seeds):
         for seconds in (10.0, 60.0):
             run = simulate(drive(name, seconds, offset=0.4), 300 + seed)
             assert clock_of(run).drift == 0.0
@@ -100,20 +104,24 @@ def test_a_clock_that_was_set_is_uneven(seconds):
     assert any(finding.code == 'clock-uneven' for finding in found.findings)
 
 
+@pytest.mark.statistical
+@thinned('seeds', 1, 3)
 @pytest.mark.parametrize('rates', [(10.0, 10.0), (10.0, 10.002), (20.001, 10.0), (10.0, 100.0)])
-def test_the_beat_of_two_rates_is_no_drift(rates):
+def test_the_beat_of_two_rates_is_no_drift(rates, seeds):
     """Two sensors that hardly turn, so that the noise of a has a say."""
     noise = Noise(white=0.01, white_rotation=0.001)
     motion = Unicycle(speed=15.0, yaw_rate=0.05, hold=4.0, ground=flat)
-    for seed in range(3):
+    for seed in range(seeds):
         run = simulate(
             Scenario(600.0, motion, *(Sensor(rate, noise) for rate in rates)), seed)
         assert clock_of(run).drift == 0.0
 
 
+@pytest.mark.statistical
+@thinned('seeds', 1, 3)
 @pytest.mark.parametrize('rates', [(10.0, 10.0), (10.0, 20.0), (10.0, 10.003)])
-def test_a_long_rest_is_no_drift(rates):
-    for seed in range(3):
+def test_a_long_rest_is_no_drift(rates, seeds):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         a, b = (rested(rate, 1200.0, X, rng, name) for rate, X, name in zip(
             rates, (np.eye(4), random_pose(rng)), 'ab', strict=True))
@@ -149,12 +157,14 @@ def test_without_noise_it_is_exact():
     assert clock_of(run).drift == pytest.approx(-30 * PPM, abs=0.2 * PPM)
 
 
+@pytest.mark.statistical
+@thinned('seeds', 1, 4)
 @pytest.mark.parametrize('rate', [10.0, 10.003])
 @pytest.mark.parametrize('white', [0.0, 0.002])
-def test_turning_at_a_constant_rate_tells_of_no_drift(white, rate):
+def test_turning_at_a_constant_rate_tells_of_no_drift(white, rate, seeds):
     noise = Noise(white=white, white_rotation=white)
     motion = Unicycle(speed=2.0, yaw_rate=0.4, hold=1e6, ground=flat)
-    for seed in range(4):
+    for seed in range(seeds):
         run = simulate(Scenario(300.0, motion, Sensor(10.0, noise), Sensor(rate, noise)), seed)
         assert clock_of(run).drift == 0.0
 

@@ -6,6 +6,7 @@ from motion_data import perturb, random_pose
 import numpy as np
 from published import kitti, SEQUENCES, simulations
 import pytest
+from thinning import thinned
 
 from trajectory_calibration import Trajectory
 from trajectory_calibration.errors import AssociationError
@@ -56,10 +57,12 @@ def test_finds_any_offset_within_its_own_error_bar(rates, offset, planar):
         assert found.significant
 
 
-def test_the_error_bar_is_honest():
+@pytest.mark.statistical
+@thinned('seeds', 30, 60)
+def test_the_error_bar_is_honest(seeds):
     """Offsets of zero over 60 seeds: never significant, and no farther than they say."""
     scores = []
-    for seed in range(60):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         pose = smooth_body(rng)
         a = perturb(rng, sampled(pose, np.eye(4), 40, 10), 0.01, 0.01)
@@ -143,9 +146,11 @@ def test_no_rivals_where_the_motion_tells():
         assert find_clock_offset(a, b, 5.0).rivals == ()
 
 
-def test_a_short_drive_gives_no_false_offset():
+@pytest.mark.statistical
+@thinned('seeds', 10, 30)
+def test_a_short_drive_gives_no_false_offset(seeds):
     """Of six seconds any two agree well for two of them."""
-    for seed in range(30):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         pose = smooth_body(rng, planar=bool(seed % 2))
         a = perturb(rng, sampled(pose, np.eye(4), 6, 10), 0.005, 0.001)
@@ -165,8 +170,10 @@ def test_noise_that_interpolation_averages_is_no_agreement(phase):
     assert not found.significant
 
 
-def test_one_pose_a_second_gives_no_false_offset():
-    for seed in range(20):
+@pytest.mark.statistical
+@thinned('seeds', 10, 20)
+def test_one_pose_a_second_gives_no_false_offset(seeds):
+    for seed in range(seeds):
         rng = np.random.default_rng(seed)
         pose = smooth_body(rng)
         a = perturb(rng, sampled(pose, np.eye(4), 30, 1), 0.005, 0.001)
@@ -198,6 +205,7 @@ def unrelated(seed):
             sampled(smooth_body(rng), np.eye(4), 300, 10, name='b'))
 
 
+@pytest.mark.statistical
 def test_unrelated_turning_is_not_significant():
     for seed in range(10):
         found = find_clock_offset(*unrelated(seed), 5.0)
