@@ -18,7 +18,8 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.vehicle_frames import Edge, Placement, VehicleFrames
+from trajectory_calibration.online.vehicle_frames import Placement, VehicleFrames
+from trajectory_calibration.outputs.frame_tree import Edge
 from trajectory_calibration.ros.conversions import stamp_ns, to_transform_stamped
 from trajectory_calibration.ros.outputs import LATCHED
 from trajectory_calibration.sources.transforms import ChainFollower
