@@ -10,6 +10,7 @@ from html import escape
 import numpy as np
 
 from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, UNOBSERVED, WEAK
+from trajectory_calibration.errors import counted
 from trajectory_calibration.fleet.comparison import Comparison, Entry
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -19,7 +20,7 @@ from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
 from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import versions
-from trajectory_calibration.outputs.report.text import figure, section, table
+from trajectory_calibration.outputs.report.text import figure, section, table, verdict_section
 from trajectory_calibration.result import CalibrationResult
 
 # Half a bar: two standard deviations, as 95 % of errors.
@@ -32,9 +33,9 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
     frame_a, frame_b = results[0].frame_a, results[0].frame_b
     style, badge = ('failed', 'They differ') if comparison.exit_status else ('good', 'They agree')
     verdict = ''.join(f'<p class="sentence">{escape(line)}</p>' for line in comparison.describe())
-    box = (f'<section class="verdict {style}"><div class="head">'
-           f'<h1>{escape(frame_b)} in {escape(frame_a)}: {len(results)} recordings</h1>'
-           f'<p class="badge">{badge}</p></div>{verdict}</section>')
+    box = verdict_section(
+        style, f'{escape(frame_b)} in {escape(frame_a)}: {counted(len(results), "recording")}',
+        badge, verdict)
     charts = section(
         1, 'Control charts', ''.join(_charts(comparison, results)),
         'Dot: one recording, pale where it is weak; bar: two standard deviations up and down. '

@@ -18,7 +18,13 @@ from trajectory_calibration.outputs.report.figures import Canvas, ellipse, limit
 from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.render import finding_list
-from trajectory_calibration.outputs.report.text import figure, next_step, section, table
+from trajectory_calibration.outputs.report.text import (
+    figure,
+    next_step,
+    section,
+    table,
+    verdict_section,
+)
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import sensor_rows
@@ -63,8 +69,8 @@ def render_rig(
             record or Record(), rig.config.calibration, finding_list(rig.findings),
             rig.version)),
     ]
-    return page(f'Rig of {len(rig.sensors)} sensors: calibration report', ''.join(parts),
-                navigation=_NAVIGATION, made_by=versions())
+    title = f'Rig of {counted(len(rig.sensors), "sensor")}: calibration report'
+    return page(title, ''.join(parts), navigation=_NAVIGATION, made_by=versions())
 
 
 def _colour(rig: RigResult, name: str) -> str:
@@ -99,10 +105,9 @@ def _box(rig: RigResult) -> str:
     head = (*('sensor', 'in')[:len(rig.trees)], 'x, m', 'y, m', 'z, m', 'roll, deg',
             'pitch, deg', 'yaw, deg', 'clock, ms', 'scale')
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
-    return (f'<section class="verdict {style}"><div class="head">'
-            f'<h1>Rig of {len(rig.sensors)} sensors in {escape(rig.base)}</h1>'
-            f'<p class="badge">{badge}</p></div><p class="sentence">{escape(loops)}</p>'
-            f'{table(head, rows)}{next_step(worst)}</section>')
+    return verdict_section(
+        style, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
+        f'<p class="sentence">{escape(loops)}</p>{table(head, rows)}{next_step(worst)}')
 
 
 def _view(rig: RigResult, first: int, second: int) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import error_words, NAMES, pose_rows, Row
 from trajectory_calibration.outputs.screen import finding_lines
@@ -32,7 +33,7 @@ def format_rig(
     terminal = terminal or Terminal()
     lines = []
     for base, names in rig.trees.items():
-        lines.append(terminal.paint(f'Rig of {len(names)} sensors in {base}', 'head')
+        lines.append(terminal.paint(f'Rig of {counted(len(names), "sensor")} in {base}', 'head')
                      + terminal.paint(f'   p_{base} = T p_sensor, m and deg', 'soft'))
         lines.append(terminal.paint(
             f'  {"":<14}' + ''.join(f'{name:>20}' for name in NAMES), 'soft'))

@@ -58,7 +58,7 @@ def format_result(
         sorted(result.findings, key=lambda found: found.code == 'direction-weak'), terminal,
         None if verbose else _MOST_FINDINGS)
     if verbose:
-        lines += ['', *terminal.aligned(_details(result))]
+        lines += ['', *terminal.aligned(details(result))]
     return '\n'.join(lines) + '\n'
 
 
@@ -121,7 +121,7 @@ def finding_lines(
     return lines if ordered else []
 
 
-def _details(result: CalibrationResult) -> dict[str, str]:
+def details(result: CalibrationResult) -> dict[str, str]:
     """Return how the answer was made, by the name of each thing."""
     a, b = result.frame_a, result.frame_b
     quaternion = transform_words(result, 6, 6)[3:]
@@ -145,6 +145,9 @@ def _details(result: CalibrationResult) -> dict[str, str]:
         rows['clock offset'] = f'{fixed(result.time_offset_s, 4)} s added to the stamps of {b}'
     if result.clock_drift:
         rows['clock drift'] = f'{1e6 * result.clock_drift:+.1f} ppm on {b}, zero in its middle'
+    jumps = (result.diagnosis or {}).get('jumps')
+    if jumps:
+        rows['jumps'] = f'{len(jumps)} excluded'
     rows['method'] = f'{result.config.solver}, version {result.version}'
     if result.reference_choice:
         rows['reference'] = result.reference_choice

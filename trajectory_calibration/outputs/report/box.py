@@ -9,7 +9,8 @@ from html import escape
 import numpy as np
 
 from trajectory_calibration.outputs.answer import Row
-from trajectory_calibration.outputs.report.text import next_step
+from trajectory_calibration.outputs.report.text import next_step, verdict_section
+from trajectory_calibration.outputs.screen import details
 from trajectory_calibration.outputs.verdict import Verdict
 from trajectory_calibration.result import CalibrationResult
 
@@ -19,6 +20,8 @@ _BELOW, _ABOVE = 2.0, 1.5
 _GAUGE = 120
 # Errors beyond this many standard deviations contradict the deviations, or the truth.
 FAR = 3.0
+# What stands beside the answer.
+_FACTS = ('data', 'fit residual', 'scale', 'clock offset', 'clock drift', 'jumps', 'method')
 
 
 def verdict_box(
@@ -40,10 +43,7 @@ def verdict_box(
     error = '<th scope="col" class="num">error</th><th scope="col" class="num">in σ</th>' \
         if has_truth else ''
     with_truth = ' with-truth' if has_truth else ''
-    return (
-        f'<section class="verdict {verdict.level}"><div class="head">'
-        f'<h1>{a} <span class="arrow">→</span> {b}</h1>'
-        f'<p class="badge">{escape(verdict.title)}</p></div>'
+    inside = (
         f'<p class="sentence">{escape(verdict.opening)}.{_against_truth(rows)}</p>'
         f'<div class="answer"><div><div class="scroll"><table class="answer-table{with_truth}">'
         f'<caption>Pose of {b} in {a}: <code>p<sub>{a}</sub> = T p<sub>{b}</sub></code></caption>'
@@ -53,7 +53,9 @@ def verdict_box(
         '<th scope="col" class="of-gauge">deviation</th>'
         f'<th scope="col">status</th>{error}</tr></thead>'
         f'<tbody>{body}</tbody></table></div>{limits}</div>{facts}</div>'
-        f'{next_step(verdict.next_step)}{copies}</section>')
+        f'{next_step(verdict.next_step)}{copies}')
+    return verdict_section(
+        verdict.level, f'{a} <span class="arrow">→</span> {b}', verdict.title, inside)
 
 
 def _against_truth(rows: tuple[Row, ...]) -> str:
@@ -65,25 +67,11 @@ def _against_truth(rows: tuple[Row, ...]) -> str:
 
 
 def facts_list(result: CalibrationResult, driven: str) -> str:
-    """Return what the answer was made of, beside it."""
-    summary = result.association
-    facts = [('driven', driven)] if driven else []
-    facts.append(('pose pairs', (f'{result.poses:,} of {summary.poses_a:,} and '
-                  f'{summary.poses_b:,} poses')))
-    facts.append(('clock offset', f'{1e3 * result.time_offset_s:+.1f} ms on {result.frame_b}'))
-    if result.clock_drift:
-        facts.append(('clock drift', f'{1e6 * result.clock_drift:+.1f} ppm'))
-    facts.append(('scale of b', f'{result.scale:.6g}'))
-    jumps = (result.diagnosis or {}).get('jumps')
-    if jumps:
-        facts.append(('jumps excluded', f'{len(jumps)}'))
-    elif result.inliers is not None:
-        facts.append(('motions kept', f'{np.count_nonzero(result.inliers)} of {result.motions}'))
-    turned = float(np.rad2deg(result.metrics.e_rR))
-    residual = f'{result.metrics.e_rt:.3g} m, {turned:.3g} deg per motion (not the accuracy)'
-    facts.append(('fit residual', residual))
-    facts.append(('solver', result.config.solver))
-    inside = ''.join(f'<dt>{name}</dt><dd>{escape(value)}</dd>' for name, value in facts)
+    """Return what the answer was made of, beside it, in the words of the screen."""
+    made_of = details(result)
+    facts = {'driven': driven, **{name: made_of[name] for name in _FACTS if name in made_of}}
+    inside = ''.join(f'<dt>{name}</dt><dd>{escape(value.replace("+-", "±"))}</dd>'
+                     for name, value in facts.items())
     return f'<dl class="facts">{inside}</dl>'
 
 

@@ -24,6 +24,7 @@ from trajectory_calibration.outputs.report.parts import (
     Parts,
     TIME_SCALES_S,
 )
+from trajectory_calibration.outputs.report.text import metres
 from trajectory_calibration.outputs.report.tracks import (
     compare_tracks,
     corrected_b,
@@ -133,6 +134,11 @@ class ReportData:
         gain = np.array(observability.translation_gain)
         need = float(np.min(std * gain)) / max(self.result.config.weak_translation, 1e-9)
         return float(np.rad2deg(need))
+
+    @property
+    def driven(self) -> str:
+        """Return how far sensor a went, and how long that took."""
+        return f'{metres(float(self.tracks.path_m[-1]))} in {self.tracks.seconds[-1]:.0f} s'
 
     def of_parts(self, k: int) -> PartAnswers:
         """Return what the parts say of the k-th of the six numbers."""

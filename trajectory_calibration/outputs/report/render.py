@@ -29,9 +29,10 @@ from trajectory_calibration.outputs.report.text import (
     next_step,
     section,
     sentence,
+    verdict_section,
 )
 from trajectory_calibration.outputs.report.view3d import single_track
-from trajectory_calibration.outputs.verdict import judge
+from trajectory_calibration.outputs.verdict import FAILED, judge, TITLES
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -55,18 +56,12 @@ def render(data: ReportData, record: Record | None = None) -> str:
     result = data.result
     box = verdict_box(
         result, data.rows, judge(result, data.rows), copies(result),
-        facts_list(result, _driven(data)))
+        facts_list(result, data.driven))
     last = section(6, 'Record', record_cards(
         record or Record(), result.config, finding_list(result.findings), result.version))
     return page(
         f'{result.frame_a} → {result.frame_b}: calibration report', box + sections(data) + last,
         navigation=NAVIGATION, made_by=versions())
-
-
-def _driven(data: ReportData) -> str:
-    path = float(data.tracks.path_m[-1])
-    length = f'{1e-3 * path:.2f} km' if path >= 1000 else f'{path:.3g} m'
-    return f'{length} in {float(data.tracks.seconds[-1]):.0f} s'
 
 
 def render_box(result: CalibrationResult) -> str:
@@ -90,9 +85,9 @@ def render_failure(
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
     reason, advice = _reason_and_advice(error)
-    box = ('<section class="verdict failed"><div class="head"><h1>Calibration failed</h1>'
-           '<p class="badge">No answer</p></div>'
-           f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}</section>')
+    box = verdict_section(
+        FAILED, 'Calibration failed', TITLES[FAILED],
+        f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}')
     figures = ''.join(_input_figure(name, trajectory)
                       for name, trajectory in zip('ab', trajectories, strict=False))
     if len(trajectories) == 2:

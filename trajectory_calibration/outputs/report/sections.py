@@ -50,8 +50,7 @@ def _tracks(data: ReportData) -> str:
                  'small, smooth, growing slowly with the distance',
                  'steps (jumps) or a wave in step with each turn (wrong lever arm)')
         + figure('Distance over the path', draw.distance_over_path(data),
-                 f'{metres(float(tracks.path_m[-1]))} driven in '
-                 f'{float(tracks.seconds[-1]):.0f} s.',
+                 f'{data.driven}.',
                  'growing slowly: ordinary drift', 'at once, where one SLAM lost its way')
         + figure('Difference of orientation', draw.angle_over_time(data),
                  f'Median {angle:.2g} deg, largest {float(tracks.angle_deg.max()):.2g} deg.',

@@ -21,6 +21,12 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ('' if text.endswith('.') else '.')
 
 
+def verdict_section(level: str, title: str, badge: str, inside: str) -> str:
+    """Return the box that begins a page; ``title`` and ``inside`` are HTML."""
+    return (f'<section class="verdict {level}"><div class="head"><h1>{title}</h1>'
+            f'<p class="badge">{escape(badge)}</p></div>{inside}</section>')
+
+
 def next_step(text: str) -> str:
     """Return what a person should do now, '' for nothing."""
     return f'<p class="next"><b>Next</b> {escape(sentence(text))}</p>' if text else ''
