@@ -12,19 +12,17 @@ from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass, field, replace
 import os
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import SourceError, TopicError
 from trajectory_calibration.sources.cdr import TF, TRAJECTORY_TYPES
-from trajectory_calibration.sources.channels import Channel
+from trajectory_calibration.sources.channels import border, Channel, Storage
 from trajectory_calibration.sources.storage import (
     Bag,
-    describe_damage,
     find_bag,
     open_storage,
-    Storage,
     unpacked,
+    unpacked_file,
 )
 from trajectory_calibration.sources.topics import (
     join_tracks,
@@ -242,24 +240,20 @@ class _OpenFile:
     path: Path
     storage: Storage | None = None
     damage: str = ''
-    folder: TemporaryDirectory[str] | None = None
+    _stack: ExitStack = field(default_factory=ExitStack)
 
     def open(self, *, count: bool) -> None:
         try:
-            self.storage, self.folder = open_storage(self.path, count=count)
-            self.damage = self.storage.damage
+            with border(lambda reason: setattr(self, 'damage', reason)):
+                path, damage = unpacked_file(self.path, self._stack)
+                self.storage = open_storage(path, count=count)
+                self._stack.callback(self.storage.close)
+                self.damage = self.storage.damage = damage or self.storage.damage
         except SourceError as error:
             raise SourceError(f'{self.path}: {error}') from error
-        except Exception as error:  # noqa: BLE001
-            # The border to damaged files: sqlite3, struct, mmap and the decompressors raise 17
-            # kinds of errors there, and none means more than that the file cannot be opened.
-            self.damage = describe_damage(error)
 
     def close(self) -> None:
-        if self.storage is not None:
-            self.storage.close()
-        if self.folder is not None:
-            self.folder.cleanup()
+        self._stack.close()
 
     def read(
         self, types: dict[str, str], meter: _Meter,

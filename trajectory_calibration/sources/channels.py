@@ -1,12 +1,18 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What every container gives: channels, batches of their messages, and names of types."""
+"""What every container gives: channels, batches of their messages, and what is damaged."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
+from trajectory_calibration.errors import SourceError
+
 _OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
+_LONGEST_REASON = 120
 
 
 class Channel(NamedTuple):
@@ -24,6 +30,49 @@ class Batch(NamedTuple):
     channel: Channel
     received_ns: list[int]
     messages: list[bytes]
+
+
+class Storage(ABC):
+    """An open file of a bag.
+
+    Attributes
+    ----------
+    channels : topics, types and counts.
+    damage : what was found wrong so far; empty where nothing was.
+    counted : whether the counts come from an index, and reading can give fewer.
+
+    """
+
+    channels: list[Channel]
+    damage = ''
+    counted = False
+
+    @abstractmethod
+    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
+        """Yield the messages of some topics, those that are whole, in the order of the file."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def note_damage(self, what: str) -> None:
+        """Keep what is wrong, of several things the first."""
+        self.damage = self.damage or what
+
+
+@contextmanager
+def border(note: Callable[[str], None]) -> Iterator[None]:
+    """Run what a damaged file may break; hand the reason to ``note`` and go on behind it.
+
+    sqlite3, struct, mmap, YAML and the decompressors raise 17 kinds of errors there, and none
+    means more than that something is damaged. A SourceError is another matter and passes.
+    """
+    try:
+        yield
+    except SourceError:
+        raise
+    except Exception as error:  # noqa: BLE001
+        note((str(error).splitlines() or [type(error).__name__])[0][:_LONGEST_REASON])
 
 
 def plain_type(msgtype: str) -> str:

@@ -11,6 +11,7 @@ import sys
 from typing import Any
 
 from trajectory_calibration.errors import pip_name, SourceError
+from trajectory_calibration.sources.channels import border
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _BLOCK = 1 << 22
@@ -49,18 +50,16 @@ def unpack_zstd(data: bytes, size: int = 0) -> bytes:
 
 def unpack_zstd_file(packed: Path, target: Path) -> str:
     """Write the content of a .zstd file; return why that ended too soon, empty if it did not."""
-    module = _zstd()
-    with packed.open('rb') as source, target.open('wb') as sink:
-        decompressor = module.ZstdDecompressor()
-        decompressor = decompressor.decompressobj() if hasattr(
-            decompressor, 'decompressobj') else decompressor
-        try:
-            while block := source.read(_BLOCK):
-                sink.write(decompressor.decompress(block))
-        except Exception as error:  # noqa: BLE001
-            # Each of the packages raises its own; what was written so far is of use.
-            return str(error) or type(error).__name__
-        return '' if getattr(decompressor, 'eof', True) else 'its end is missing'
+    decompressor = _zstd().ZstdDecompressor()
+    # The package zstandard, which Ubuntu has, tells a stream from a block.
+    decompressor = getattr(decompressor, 'decompressobj', lambda: decompressor)()
+    reasons: list[str] = []
+    with packed.open('rb') as source, target.open('wb') as sink, border(reasons.append):
+        while block := source.read(_BLOCK):
+            sink.write(decompressor.decompress(block))
+        if not getattr(decompressor, 'eof', True):
+            reasons.append('its end is missing')
+    return ''.join(reasons)
 
 
 def _zstd() -> Any:

@@ -5,12 +5,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack
 import json
 from pathlib import Path
 import sqlite3
 from typing import Any
 
-from trajectory_calibration.sources.channels import Batch, Channel, plain_type
+from trajectory_calibration.sources.channels import (
+    Batch,
+    border,
+    Channel,
+    plain_type,
+    Storage,
+)
 
 # Few enough rows for the cache; enough messages to make NumPy's overhead vanish.
 _BLOCK, _BATCH = 256, 4096
@@ -20,24 +27,17 @@ _MAPPED = 2**31
 _LONGEST_STRIDE = 2**32
 
 
-class SqliteFile:
-    """An open sqlite3 file.
+class SqliteFile(Storage):
+    """An open sqlite3 file; ``Storage`` says what it offers.
 
-    Attributes
-    ----------
-    channels : topics, types and numbers of rows; zero where they were not to be counted.
-    damage : what was found wrong, empty so far if nothing.
-    counted : whether the counts tell more than reading does: they do not.
-
+    The counts of its channels are those of its rows; zero where they were not to be counted.
     """
 
-    counted = False
-
     def __init__(self, path: Path, *, count: bool) -> None:
-        self.damage = ''
         self._connection = sqlite3.connect(
             f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
-        try:
+        with ExitStack() as failed:
+            failed.callback(self.close)
             # Without it, sqlite refuses a file that is shorter than its header says. The file
             # is open read-only: nothing is written.
             self._connection.execute('PRAGMA writable_schema = ON')
@@ -46,10 +46,7 @@ class SqliteFile:
                 topic_id: Channel(str(name), plain_type(str(msgtype)), 0, str(encoding))
                 for topic_id, name, msgtype, encoding in self._connection.execute(
                     'SELECT id, name, type, serialization_format FROM topics')}
-        except Exception:
-            self._connection.close()
-            raise
-
+            failed.pop_all()
         self.channels = self._counted() if count else list(self._topics.values())
 
     def messages(self, topics: Collection[str]) -> Iterator[Batch]:
@@ -75,23 +72,21 @@ class SqliteFile:
 
     def _counted(self) -> list[Channel]:
         """Return the channels with the numbers of their rows."""
-        try:
+        counts: dict[int, int] = {}
+        with border(self.note_damage):
             counts = dict(self._connection.execute(
                 'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id'))
             # The index of the times, where there is one, is a second list of all rows.
             ((indexed,),) = self._connection.execute('SELECT COUNT(*) FROM messages')
             missing = indexed - sum(counts.values())
             if missing > 0:
-                self.damage = f'its table lacks {missing} of the {indexed} rows of its index'
-        except Exception as error:  # noqa: BLE001
-            # sqlite3 has no error for what a damaged page makes of its data.
-            self.damage = str(error) or type(error).__name__
-            counts = {}
+                self.note_damage(f'its table lacks {missing} of the {indexed} rows of its index')
+        if self.damage and not counts:
             for ids, _, _ in self._rows(list(self._topics)):
                 for topic_id in ids:
                     counts[topic_id] = counts.get(topic_id, 0) + 1
         if set(counts) - set(self._topics):
-            self.damage = self.damage or 'messages of a topic that is not declared'
+            self.note_damage('messages of a topic that is not declared')
         return [channel._replace(messages=counts.get(key, 0))
                 for key, channel in self._topics.items()]
 
@@ -111,14 +106,14 @@ class SqliteFile:
                     after, stride = max(after, rows[-1][0]), 1
                     _, ids, times, data = zip(*rows, strict=True)
                     if set(map(type, times)) != {int} or set(map(type, data)) != {bytes}:
-                        self.damage = self.damage or 'some of its rows hold no message'
+                        self.note_damage('some of its rows hold no message')
                         whole = [row for row in rows
                                  if type(row[2]) is int and type(row[3]) is bytes]
                         ids, times, data = zip(*(row[1:] for row in whole), strict=True) if (
                             whole) else ((), (), ())
                     yield ids, times, data
             except sqlite3.Error as error:
-                self.damage = self.damage or str(error)
+                self.note_damage(str(error))
             else:
                 return
             if size > 1:

@@ -4,15 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 import re
 from tempfile import TemporaryDirectory
-from typing import Protocol
 
 from trajectory_calibration.errors import SourceError
-from trajectory_calibration.sources.channels import Batch, Channel
+from trajectory_calibration.sources.channels import Batch, border, Storage
 from trajectory_calibration.sources.packing import unpack_zstd, unpack_zstd_file, ZSTD_MAGIC
 from trajectory_calibration.sources.text import refuse_pointer
 
@@ -20,30 +19,6 @@ _STORAGE_SUFFIXES = ('.mcap', '.db3')
 _PACKED_SUFFIXES = ('.zstd', '.zst')
 _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
 _SOME = 9
-
-
-class Storage(Protocol):
-    """An open file of a bag.
-
-    Attributes
-    ----------
-    channels : topics, types and counts.
-    damage : what was found wrong so far; empty where nothing was.
-    counted : whether the counts come from an index, and reading can give fewer.
-
-    """
-
-    channels: list[Channel]
-    damage: str
-    counted: bool
-
-    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
-        """Yield the messages of some topics, those that are whole."""
-        ...
-
-    def close(self) -> None:
-        """Close the file."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -84,19 +59,17 @@ def find_bag(path: Path) -> Bag:
     return Bag(path, (path,), notes=_log_note(path))
 
 
-def open_storage(
-    path: Path, *, count: bool,
-) -> tuple[Storage, TemporaryDirectory[str] | None]:
-    """Open a file of a bag, unpacked into a folder that is returned where it is compressed.
+def unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
+    """Return a file of a bag, or where it is compressed its content, and the damage found.
 
-    ``count`` asks for numbers of messages also where that takes time.
+    The content lies in a folder that goes with the ``stack``.
 
     Raises
     ------
     SourceError
         A pointer of Git LFS, or a package is missing that unpacks the file.
-    Exception
-        Anything else, where the file is damaged.
+    ValueError
+        It is empty.
 
     """
     with path.open('rb') as stream:
@@ -104,30 +77,31 @@ def open_storage(
     refuse_pointer(path, beginning)
     if not beginning:
         raise ValueError('it is empty')
-    suffix, folder, damage = _storage_suffix(path), None, ''
-    if beginning.startswith(ZSTD_MAGIC):
-        folder = TemporaryDirectory(prefix='trajectory_calibration_')
-        unpacked = Path(folder.name) / f'bag{suffix}'
-        damage = unpack_zstd_file(path, unpacked)
-        path = unpacked
-    try:
-        # Each of them loads where such a file is read.
-        storage: Storage
-        if suffix == '.mcap':
-            from trajectory_calibration.sources.mcap import McapFile
-            storage = McapFile(path)
-        elif suffix == '.db3':
-            from trajectory_calibration.sources.sqlite import SqliteFile
-            storage = SqliteFile(path, count=count)
-        else:
-            from trajectory_calibration.sources.rosbag1 import Ros1File
-            storage = Ros1File(path)
-    except Exception:
-        if folder is not None:
-            folder.cleanup()
-        raise
-    storage.damage = damage or storage.damage
-    return storage, folder
+    if not beginning.startswith(ZSTD_MAGIC):
+        return path, ''
+    folder = stack.enter_context(TemporaryDirectory(prefix='trajectory_calibration_'))
+    unpacked = Path(folder) / f'bag{_storage_suffix(path)}'
+    return unpacked, unpack_zstd_file(path, unpacked)
+
+
+def open_storage(path: Path, *, count: bool) -> Storage:
+    """Open a file of a bag; ``count`` asks for numbers of messages also where that takes time.
+
+    Raises
+    ------
+    Exception
+        The file is damaged.
+
+    """
+    # Each of them loads where such a file is read.
+    if path.suffix == '.mcap':
+        from trajectory_calibration.sources.mcap import McapFile
+        return McapFile(path)
+    if path.suffix == '.db3':
+        from trajectory_calibration.sources.sqlite import SqliteFile
+        return SqliteFile(path, count=count)
+    from trajectory_calibration.sources.rosbag1 import Ros1File
+    return Ros1File(path)
 
 
 def unpacked(batch: Batch) -> Batch:
@@ -143,19 +117,10 @@ def unpacked(batch: Batch) -> Batch:
 def _unpacked(message: bytes) -> bytes:
     if not message.startswith(ZSTD_MAGIC):
         return message
-    try:
+    # What is no message is counted as one that cannot be read.
+    with border(lambda _: None):
         return unpack_zstd(message)
-    except SourceError:
-        raise
-    except Exception:  # noqa: BLE001
-        # What is no message is counted as one that cannot be read.
-        return b''
-
-
-def describe_damage(error: Exception) -> str:
-    """Return the first line of an error, or its kind where it has none."""
-    lines = str(error).splitlines()
-    return lines[0][:120] if lines else type(error).__name__
+    return b''
 
 
 def _storage_suffix(path: Path) -> str:
@@ -167,17 +132,18 @@ def _find_folder(path: Path) -> Bag:
     present = sorted((item for item in path.iterdir()
                       if _storage_suffix(item) in _STORAGE_SUFFIXES), key=_natural)
     notes = tuple(note for item in present for note in _log_note(item))
-    try:
+    reasons: list[str] = []
+    listed: list[str] = []
+    declared: dict[str, int] = {}
+    with border(reasons.append):
         listed, declared = _metadata(path)
-    except Exception as error:
-        # YAML, and what it holds, may be damaged in any way.
-        if not present:
-            raise SourceError(
-                f'{path} is not a bag: no metadata.yaml that can be read '
-                f'({describe_damage(error)}), and no .mcap or .db3 file; give a folder that ros2 '
-                'bag wrote, or a bag file') from error
-        reason = ('is missing' if isinstance(error, FileNotFoundError)
-                  else f'is damaged ({describe_damage(error)})')
+    if reasons and not present:
+        raise SourceError(
+            f'{path} is not a bag: no metadata.yaml that can be read ({reasons[0]}), and no .mcap '
+            'or .db3 file; give a folder that ros2 bag wrote, or a bag file')
+    if reasons:
+        reason = (f'is damaged ({reasons[0]})' if (path / 'metadata.yaml').exists()
+                  else 'is missing')
         note = f'metadata.yaml {reason}: read {", ".join(item.name for item in present)}'
         return Bag(path, tuple(present), notes=(note, *notes))
     files, missing = [], []
