@@ -21,6 +21,7 @@ from trajectory_calibration.rig import (
 )
 from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.contradictions import find_other_clocks
+from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
@@ -299,6 +300,14 @@ def test_eight_sensors_are_compared_with_three_of_them():
     rig = calibrate_rig(run.trajectories)
     assert len(rig.pairs) == 5 + 4 + 3
     assert len(calibrate_rig(run.trajectories, RigConfig(pairs='base')).pairs) == 5
+
+
+def test_no_pair_is_calibrated_twice():
+    # The two sensors that are known best are compared with all others, and with each other once.
+    run = simulate_rig(vehicle('abcdef', duration=10.0), 15)
+    answers, failures = calibrate_pairs(run.trajectories, 'a', RigConfig())
+    seen = [frozenset((pair.parent, pair.child)) for pair in (*answers, *failures)]
+    assert len(seen) == len(set(seen))
 
 
 @pytest.mark.parametrize(('values', 'message'), [

@@ -26,7 +26,12 @@ from trajectory_calibration.rig.doubts import (
     unconnected,
 )
 from trajectory_calibration.rig.observed import probability
-from trajectory_calibration.rig.pairs import calibrate_pairs, PairAnswer
+from trajectory_calibration.rig.pairs import (
+    answer_of,
+    calibrate_pairs,
+    PairAnswer,
+    PairFailure,
+)
 from trajectory_calibration.rig.result import (
     Contradiction,
     judged,
@@ -77,8 +82,8 @@ def calibrate_rig(
     base = _validated(trajectories, config)
     if len(trajectories) == 2:
         return _of_two(trajectories, base, config)
-    answers = calibrate_pairs(trajectories, base, config)
-    return _of_answers(answers, [base, *(name for name in trajectories if name != base)],
+    answers, failures = calibrate_pairs(trajectories, base, config)
+    return _of_answers(answers, failures, [base, *(name for name in trajectories if name != base)],
                        trajectories, config)
 
 
@@ -112,8 +117,11 @@ def fuse_results(
         names += [name for name in (result.frame_a, result.frame_b) if name not in names]
     base = config.base or names[0]
     _require_names(config, names)
-    answers = [PairAnswer(result.frame_a, result.frame_b, result) for result in results]
-    return _of_answers(answers, [base, *(name for name in names if name != base)], {}, config)
+    found = [answer_of(result.frame_a, result.frame_b, result) for result in results]
+    answers = [pair for pair in found if isinstance(pair, PairAnswer)]
+    failures = [pair for pair in found if isinstance(pair, PairFailure)]
+    ordered = [base, *(name for name in names if name != base)]
+    return _of_answers(answers, failures, ordered, {}, config)
 
 
 def _validated(trajectories: Mapping[str, Trajectory], config: RigConfig) -> str:
@@ -176,24 +184,22 @@ def _of_two(
 
 
 def _of_answers(
-    answers: Sequence[PairAnswer], names: Sequence[str],
+    solved: Sequence[PairAnswer], failures: Sequence[PairFailure], names: Sequence[str],
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the rig of the answers of pairs, tree by tree."""
-    solved = [answer for answer in answers if answer.result is not None]
     if not solved:
-        reasons = '; '.join(f'{answer.parent} - {answer.child}: {answer.failure}'
-                            for answer in answers[:3])
+        reasons = '; '.join(f'{pair.parent} - {pair.child}: {pair.reason}'
+                            for pair in failures[:3])
         raise CalibrationError(f'no two of {len(names)} sensors gave an answer: {reasons}')
     groups = _connected(names, solved)
     sensors: dict[str, SensorAnswer] = {}
     blocks: list[FloatArray] = []
     free: list[str] = []
     reports: dict[tuple[str, str], PairReport] = {
-        (answer.parent, answer.child): PairReport(
-            answer.parent, answer.child, answer.failure or 'no answer', used=False)
-        for answer in answers}
-    contradictions = unconnected(groups, answers)
+        (pair.parent, pair.child): PairReport(pair.parent, pair.child, pair.reason, used=False)
+        for pair in failures}
+    contradictions = unconnected(groups, failures)
     chi_squared, degrees = 0.0, 0
     for group in groups:
         if len(group) == 1:
@@ -242,8 +248,8 @@ def _solve_group(
 ) -> RigResult:
     """Return the rig of sensors that are connected."""
     number = {name: k for k, name in enumerate(group)}
-    pairs = [Pair(number[answer.parent], number[answer.child], answer.result)
-             for answer in answers if answer.result is not None]
+    pairs = [Pair(number[answer.parent], number[answer.child], answer.result, answer.covariance)
+             for answer in answers]
     tree = build_tree(
         group, pairs, trajectories, [config.of(name).scale == 'free' for name in group],
         config.calibration)
@@ -339,7 +345,7 @@ def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
     return tuple(
         replace(found, text=f'{answer.parent} - {answer.child}: '
                 + in_rig_words(found.text, answer.parent, answer.child))
-        for answer in answers if answer.result is not None
+        for answer in answers
         for found in answer.result.findings
         if found.level == 'serious' and found.code != 'direction-unobserved')
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ _UNTOLD = np.repeat([10.0, 1.0], 3)
 _SAME_CLOCK_S = 0.01
 _OTHER_CLOCK_S = 0.02
 _SURE = 5.0
+
+_Numbers = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +137,8 @@ def _jumps(
     others = [s for s in range(len(noise)) if s != sensor]
     W = np.linalg.inv(noise[others])
     of_others = np.linalg.inv(W.sum(axis=0))
-    step = steps[sensor] - np.einsum('ab,sbc,swc->wa', of_others, W, steps[others])
-    K = np.linalg.inv(noise[sensor] + of_others)
-    size = np.einsum('wa,ab,wb->w', step, K, step)
+    step = steps[sensor] - _mean(of_others, W, steps[others])
+    size = np.sum(step @ np.linalg.inv(noise[sensor] + of_others) * step, axis=1)
     found: list[tuple[int, FloatArray]] = []
     while len(found) < _JUMPS and len(size):
         most = int(np.argmax(size))
@@ -164,12 +166,11 @@ def _blocks(
                 continue
             windows = np.flatnonzero(which.ravel() == p)
             of_others = np.linalg.inv(W[others].sum(axis=0))
-            mean = np.einsum('ab,sbc,swc->wa', of_others, W[others],
-                             level.differences[others][:, windows])
-            apart = level.differences[sensor, windows] - mean
+            apart = level.differences[sensor, windows] - _mean(
+                of_others, W[others], level.differences[others][:, windows])
             K = np.linalg.inv(N[sensor] + of_others)
             # A jump of a track is no move of a mount.
-            squared = np.einsum('wa,ab,wb->w', apart, K, apart) / 6
+            squared = np.sum(apart @ K * apart, axis=1) / 6
             trust = np.minimum(1.0, 4.0 / np.maximum(squared, 1e-12))
             J = level.jacobian[windows][:, :, TWIST]
             weighted = trust[:, None, None] * np.swapaxes(J, 1, 2) @ K
@@ -177,6 +178,12 @@ def _blocks(
             np.add.at(score, block, -(weighted @ apart[:, :, None])[:, :, 0])
             np.add.at(information, block, weighted @ J)
     return score, information
+
+
+def _mean(P: _Numbers, W: _Numbers, values: FloatArray) -> FloatArray:
+    """Return (W, 6) means of (S, W, 6) values with (S, 6, 6) weights, whose sum has inverse P."""
+    mean: FloatArray = (values @ (P @ W).swapaxes(1, 2)).sum(axis=0)
+    return mean
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from trajectory_calibration.rig.contradictions import (
 )
 from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.observed import probability
-from trajectory_calibration.rig.pairs import PairAnswer
+from trajectory_calibration.rig.pairs import PairFailure
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
 
@@ -27,20 +27,20 @@ _MOST_DOUBTED = 3
 
 
 def unconnected(
-    groups: Sequence[Sequence[str]], answers: Sequence[PairAnswer],
+    groups: Sequence[Sequence[str]], failures: Sequence[PairFailure],
 ) -> list[Contradiction]:
     """Name the sensors that share no answer with any other."""
     found = []
     for name in (group[0] for group in groups if len(group) == 1):
-        own = [answer for answer in answers if name in (answer.parent, answer.child)]
+        own = [pair for pair in failures if name in (pair.parent, pair.child)]
         if not own:
             continue
-        if all(answer.no_common_time for answer in own):
+        if all(pair.no_common_time for pair in own):
             kind, text = 'time', (
                 f'{name} shares no time with any other sensor: check its clock and its file, or '
                 'raise max_time_offset')
         else:
-            reason = next(answer.failure for answer in own if not answer.no_common_time)
+            reason = next(pair.reason for pair in own if not pair.no_common_time)
             kind, text = 'vehicle', (
                 f'{name} does not move as the other sensors do: check its topic or file, and '
                 f'that it rides on this vehicle ({reason})')

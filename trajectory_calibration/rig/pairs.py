@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which pairs of sensors are calibrated, and their answers."""
+"""Which pairs of sensors are calibrated, and what came of each."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, CalibrationError
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
@@ -39,22 +40,29 @@ _WORTH_PROCESSES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer:
-    """What two sensors alone say.
-
-    Attributes
-    ----------
-    parent, child : names.
-    result : the answer, or None.
-    failure : why there is none, or empty.
-    no_common_time : whether that is because they share no time.
-
-    """
+    """What two sensors alone say: their names, the answer, and the (6, 6) that it states."""
 
     parent: str
     child: str
-    result: CalibrationResult | None = None
-    failure: str = ''
+    result: CalibrationResult
+    covariance: FloatArray
+
+
+@dataclass(frozen=True)
+class PairFailure:
+    """Why two sensors have no answer, and whether that is because they share no time."""
+
+    parent: str
+    child: str
+    reason: str
     no_common_time: bool = False
+
+
+def answer_of(parent: str, child: str, result: CalibrationResult) -> PairAnswer | PairFailure:
+    """Return the answer of a pair; a failure where it does not say how sure it is."""
+    if result.covariance is None:
+        return PairFailure(parent, child, 'no covariance')
+    return PairAnswer(parent, child, result, result.covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +73,22 @@ class _Task:
     b: Trajectory
     config: RigConfig
 
-    def run(self) -> PairAnswer:
+    def run(self) -> PairAnswer | PairFailure:
         settings = self.config.calibration
         if self.config.of(self.child).scale == 'free' and settings.solver == 'drift_aware':
             settings = replace(settings, scale_mode='estimate', scale=1.0)
         try:
             result = calibrate(self.a, self.b, replace(settings, allow_unobserved=True))
         except CalibrationError as error:
-            return PairAnswer(self.parent, self.child,
-                              failure=in_rig_words(str(error), self.parent, self.child),
-                              no_common_time=isinstance(error, AssociationError))
-        if result.covariance is None:
-            return PairAnswer(self.parent, self.child, failure='no covariance')
-        return PairAnswer(self.parent, self.child, result)
+            return PairFailure(self.parent, self.child,
+                               in_rig_words(str(error), self.parent, self.child),
+                               no_common_time=isinstance(error, AssociationError))
+        return answer_of(self.parent, self.child, result)
 
 
 def calibrate_pairs(
     trajectories: Mapping[str, Trajectory], base: str, config: RigConfig,
-) -> list[PairAnswer]:
+) -> tuple[list[PairAnswer], list[PairFailure]]:
     """Calibrate the pairs that the settings ask for, in rounds.
 
     A pair is oriented so that a sensor without scale is the child; else the one that stands
@@ -91,20 +97,25 @@ def calibrate_pairs(
     names = [base, *(name for name in trajectories if name != base)]
     given = {name: _thinned(trajectories[name], config.max_poses) for name in names}
     answers: list[PairAnswer] = []
+    failures: list[PairFailure] = []
+    tried: set[frozenset[str]] = set()
 
     def extend(wanted: Sequence[tuple[str, str]], most: int = 0) -> None:
-        done = {frozenset((answer.parent, answer.child)) for answer in answers}
-        tasks = [
-            _Task(parent, child, _thinned(given[parent], most), _thinned(given[child], most),
-                  config)
-            for parent, child in (_oriented(pair, names, config) for pair in wanted)
-            if frozenset((parent, child)) not in done]
+        new = dict.fromkeys(_oriented(pair, names, config) for pair in wanted
+                            if frozenset(pair) not in tried)
+        tried.update(map(frozenset, new))
+        tasks = [_Task(parent, child, _thinned(given[parent], most), _thinned(given[child], most),
+                       config) for parent, child in new]
         with _mapper(tasks, config.processes) as run:
-            answers.extend(run(_run, tasks))
+            for found in run(_run, tasks):
+                if isinstance(found, PairAnswer):
+                    answers.append(found)
+                else:
+                    failures.append(found)
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
         extend(list(combinations(names, 2)))
-        return answers
+        return answers, failures
     extend([(base, name) for name in names[1:]])
     if config.pairs == 'auto':
         hubs = _hubs(answers, names, config)
@@ -114,18 +125,16 @@ def calibrate_pairs(
     extend([
         pair for pair in combinations(names, 2)
         if _component(pair[0], answers) != _component(pair[1], answers)])
-    return answers
+    return answers, failures
 
 
 def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig) -> list[str]:
     """Return the sensors that are known best against the base, one whose unit is known first."""
     def badness(name: str) -> tuple[bool, float]:
         for answer in answers:
-            if name in (answer.parent, answer.child) and answer.result is not None:
-                P = answer.result.covariance
-                assert P is not None  # noqa: S101 - for the type checker: see _Task.run
+            if name in (answer.parent, answer.child):
                 # The geometric mean, so that a height that all leave open decides nothing.
-                values = np.maximum(np.linalg.eigvalsh(P), 1e-30)
+                values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
                 return config.of(name).scale == 'free', float(np.mean(np.log(values)))
         return True, np.inf
     return sorted(names[1:], key=badness)[:_HUBS]
@@ -136,7 +145,7 @@ def _component(name: str, answers: Sequence[PairAnswer]) -> frozenset[str]:
     reached = {name}
     while True:
         more = {
-            other for answer in answers if answer.result is not None
+            other for answer in answers
             for one, other in ((answer.parent, answer.child), (answer.child, answer.parent))
             if one in reached} - reached
         if not more:
@@ -161,11 +170,12 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
                       trajectory.world_frame, trajectory.sensor_frame)
 
 
-def _run(task: _Task) -> PairAnswer:
+def _run(task: _Task) -> PairAnswer | PairFailure:
     return task.run()
 
 
-_Map = Callable[[Callable[[_Task], PairAnswer], Sequence[_Task]], Iterator[PairAnswer]]
+_Found = PairAnswer | PairFailure
+_Map = Callable[[Callable[[_Task], _Found], Sequence[_Task]], Iterator[_Found]]
 
 
 @contextmanager

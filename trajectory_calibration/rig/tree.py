@@ -58,11 +58,12 @@ _KNOWN_SCALE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The answer of two sensors of a tree, by their numbers."""
+    """The answer of two sensors of a tree, by their numbers, and the (6, 6) that it states."""
 
     parent: int
     child: int
     result: CalibrationResult
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +127,7 @@ def build_tree(
     """
     ends = [(pair.parent, pair.child) for pair in pairs]
     sensors = len(names)
-    stated = np.stack([_stated(pair.result) for pair in pairs])
+    stated = np.stack([pair.covariance + np.diag(ROUNDING**2) for pair in pairs])
     raw = np.stack([pair.result.T_a_b for pair in pairs])
     epoch_ns = _epoch(trajectories, names, pairs)
     given = np.eye(len(pairs))
@@ -207,11 +208,6 @@ def _of_base(sensors: int, pairs: Sequence[Pair], stds: FloatArray) -> FloatArra
         if 0 in (pair.parent, pair.child):
             found[pair.parent or pair.child] = std
     return found
-
-
-def _stated(result: CalibrationResult) -> FloatArray:
-    P = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
-    return P + np.diag(ROUNDING**2)
 
 
 def _in_base_metres(
