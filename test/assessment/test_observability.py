@@ -9,11 +9,9 @@ from thinning import thinned
 from trajectory_calibration import calibrate, CalibrationConfig, MotionError, Trajectory
 from trajectory_calibration.assessment.excitation import split_pairs
 from trajectory_calibration.assessment.observability import (
-    _ways_out,
     DEGREES_OF_FREEDOM,
     Observability,
     observe,
-    WeakAxis,
 )
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.geometry import se3
@@ -117,11 +115,34 @@ def test_what_a_straight_line_tells_is_an_answer():
     np.testing.assert_allclose(rotations[0].axis, np.ones(3) / np.sqrt(3), atol=0.02)
 
 
+def findings_of(*axes, gain=2.0):
+    """Return the findings where the deviation (m, or rad) is that along some of six axes."""
+    run = simulate(SCENARIOS['drone'], 1)
+    motions = select_motions(associate(run.a, run.b), 'B5')
+    covariance = 1e-8 * np.eye(6) + sum(gain**2 * np.outer(axis, axis) for axis in axes)
+    return observe(motions, covariance, covariance, CalibrationConfig(), 'lidar').findings
+
+
 def test_one_number_is_advised_along_an_axis_only():
-    upright, aslant = (_ways_out(WeakAxis('translation', axis, 9.0, 'unobserved'))
-                       for axis in ((0.0, 0.1, 0.995), (0.6, 0.0, 0.8)))
-    assert 'measure it and add --prior-translation=-,-,Z ' in upright
-    assert 'give all of --prior-translation=X,Y,Z ' in aslant
+    upright, = findings_of([0.0, 0.1, 0.995, 0, 0, 0])
+    aslant, = findings_of([0.6, 0.0, 0.8, 0, 0, 0])
+    assert ' add --prior-translation=-,-,Z ' in upright.text
+    assert ' add --prior-translation=X,Y,Z ' in aslant.text
+
+
+def test_directions_with_one_cause_are_one_finding_of_two_lines():
+    found, = calibrate(*at_rest_or_straight_ahead(1, speed=2.0)).observability.findings
+    assert found.text.startswith(
+        'translation and part of the rotation of sensor unobservable: noise too large')
+    assert [item['kind'] for item in found.values['directions']] == [
+        *['translation'] * 3, 'rotation']
+    every, = findings_of(*np.eye(6))
+    assert every.text.startswith('translation and rotation of lidar unobservable: ')
+    assert len(f'serious: {every.text}') <= 2 * 99
+    flat_, weak = findings_of([0, 0, 1, 0, 0, 0], gain=9.0) + findings_of(
+        [0, 0, 0, 0, 1, 0], [0, 0, 0, 1, 0, 0], gain=0.03)
+    assert len(f'serious: {flat_.text}') <= 2 * 97
+    assert weak.text.startswith('rotation about x, y of lidar weak: standard deviation 1.7, 1.7')
 
 
 def test_a_good_drive_has_nothing_to_say():

@@ -73,7 +73,7 @@ def test_text_shows_the_answer_first_then_the_findings(files, tmp_path, capsys):
                                angles, atol=1e-3)
     assert 'error against the ground truth: 0.0000 m, 0.000 deg' in answer
     assert 'ok: at most 0.05 m, 0.5 deg; weak: more; unknown: not determined' in answer
-    assert findings == f'note: sensor_a: {a}: 1 of 81 poses are not finite: dropped\n'
+    assert findings == f'note: sensor_a: {a}: dropped 1 of 81 poses, not finite\n'
 
 
 def test_verbose_tells_the_rest_and_quiet_the_transform_alone(files, capsys):

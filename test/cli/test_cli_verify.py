@@ -71,11 +71,31 @@ def test_topics_of_a_bag(tmp_path, capsys):
     assert status == 0, out + err
 
 
-def test_files_in_exchange_are_named(saved, tmp_path, capsys):
+def test_files_in_exchange_are_a_question_and_no_movement(saved, tmp_path, capsys):
     a, b = write_noisy(tmp_path, 2)
-    status, out, _ = run(capsys, 'verify', saved, b, a)
+    status, out, err = run(capsys, 'verify', saved, b, a)
+    assert (status, out) == (1, '')
+    assert 'are A and B exchanged?' in err
+    assert 'the trajectory of lidar, then that of camera' in err
+    # A sensor that turned around is no file in exchange.
+    around = se3.from_rotation_translation(se3.exp_so3([0, 0, np.pi]), [0, 0, 0])
+    assert run(capsys, 'verify', saved, *write_noisy(tmp_path, 3, X @ around))[0] == 4
+
+
+def test_directions_that_were_not_tested_are_no_plain_success(tmp_path, capsys):
+    first, second = tmp_path / 'first', tmp_path / 'second'
+    for folder in (first, second):
+        folder.mkdir()
+    a, b = write_noisy(first, 5, planar=True)
+    assert run(capsys, 'calibrate', a, b, '--solver', 'dnl', '--output', tmp_path / 'flat')[0] == 3
+    saved = tmp_path / 'flat' / 'result.yaml'
+    status, out, _ = run(capsys, 'verify', saved, *write_noisy(second, 6, planar=True))
+    assert status == 3
+    assert out.splitlines()[0].startswith('holds in 5 of 6 directions')
+    assert 'not tested: z (not in the saved result)' in out.splitlines()[0]
+    status, out, _ = run(capsys, 'verify', saved, *write_noisy(second, 7, se3.moved(
+        X, [0.3, 0, 0, 0, 0, 0.1]), planar=True))
     assert status == 4
-    assert 'exchange A and B' in out
 
 
 def test_what_cannot_be_read_is_an_error(saved, tmp_path, capsys):

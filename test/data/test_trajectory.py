@@ -37,7 +37,7 @@ def test_sorts_by_stamp_and_says_so(poses):
     np.testing.assert_array_equal(trajectory.stamps_ns, stamps(10))
     np.testing.assert_allclose(trajectory.poses, poses, atol=1e-15)
     assert trajectory.warnings == (
-        'lidar: time ran backwards 2 times; the poses were sorted by stamp',)
+        'lidar: sorted the poses by stamp: time ran backwards in 2 places',)
 
 
 def test_drops_duplicates_and_counts_them(poses):
@@ -47,7 +47,7 @@ def test_drops_duplicates_and_counts_them(poses):
     assert len(trajectory) == 8
     np.testing.assert_allclose(trajectory.poses[2], poses[2], atol=1e-15)
     assert trajectory.warnings == (
-        'lidar: 2 poses repeat the stamp of another and were dropped',)
+        'lidar: dropped 2 poses with the stamp of another',)
 
 
 def test_rounding_is_removed_without_a_word_and_more_with_one(poses):
@@ -60,7 +60,7 @@ def test_rounding_is_removed_without_a_word_and_more_with_one(poses):
     q[4] *= 1.004
     repaired = Trajectory.from_quaternions(stamps(10), poses[:, :3, 3], q, sensor_frame='imu')
     assert len(repaired.warnings) == 1
-    assert repaired.warnings[0].startswith('imu: 1 rotations were normalised')
+    assert repaired.warnings[0].startswith('imu: normalised 1 rotation (')
     np.testing.assert_allclose(repaired.poses, rounded.poses, atol=1e-5)
 
 

@@ -49,7 +49,7 @@ def test_times_in_another_unit(factor, words):
 def test_steps_that_differ_as_units_do_where_no_time_is_common():
     a, b = slower(RUN.a, 1), slower(RUN.b, 1)
     late = replace(a, stamps_ns=10**18 + a.stamps_ns // 1000)
-    with pytest.raises(AssociationError, match=r'are the times of .* in milliseconds, .*by 1000;'):
+    with pytest.raises(AssociationError, match=r'are the times of .* in milliseconds\? .*by 1000;'):
         calibrate(late, b)
     assert doubts_of_both(a, replace(b, stamps_ns=b.stamps_ns + 10**18)) == ()
     assert doubts_of_both(a, replace(b, stamps_ns=b.stamps_ns // 1000)) == ()
@@ -64,7 +64,7 @@ def test_millimetres():
     # The ground is hilly: it is not the turning that is too little.
     said = [warning for warning in found.warnings if 'unobservable' in warning]
     assert said
-    assert all('the noise is too large for the motion' in warning for warning in said)
+    assert all('noise too large for the motion' in warning for warning in said)
 
 
 def test_the_unit_of_a_camera_without_scale_is_no_question():

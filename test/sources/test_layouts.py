@@ -300,8 +300,9 @@ def test_rows_that_are_repeated_as_a_whole_are_harmless(tmp_path):
     assert _is_right(FileSource(path).load())
 
 
-def test_numbers_of_frames_are_asked_about_and_serve_with_times(tmp_path):
-    path = _tum(tmp_path / 'a.txt', range(COUNT))
+@pytest.mark.parametrize('form', ['{:d}', '{:.4f}', '{:.18e}'])
+def test_numbers_of_frames_are_asked_about_and_serve_with_times(tmp_path, form):
+    path = _tum(tmp_path / 'a.txt', map(form.format, range(COUNT)))
     found = FileSource(path).load().findings
     assert [item.code for item in found] == ['stamps-are-numbers']
     assert 'are its times 0, 1, 2, ... numbers of frames?' in found[0].text
@@ -316,4 +317,4 @@ def test_rows_of_the_identity_far_from_their_neighbours_are_dropped(tmp_path):
     trajectory = FileSource(_tum(tmp_path / 'a.txt', _column('t', 's'), start)).load()
     np.testing.assert_array_equal(
         trajectory.stamps_ns, np.delete(STAMPS_NS, [11, 12, 20]))
-    assert '3 of 30 poses are the identity, far from their neighbours' in trajectory.warnings[0]
+    assert 'dropped 3 of 30 poses: identity, far from the neighbours' in trajectory.warnings[0]

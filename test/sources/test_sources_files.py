@@ -122,7 +122,7 @@ def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
     trajectory = FileSource(_write(tmp_path / 'a.txt', rows), sensor_frame='cam').load()
     np.testing.assert_array_equal(trajectory.stamps_ns, track[0][[0, 2, 4]])
     assert trajectory.warnings[0].startswith('cam: ')
-    assert '3 of 6 poses are not finite: dropped' in trajectory.warnings[0]
+    assert 'dropped 3 of 6 poses, not finite' in trajectory.warnings[0]
 
 
 @pytest.mark.parametrize('first', ['1 0 0 0', '-1.0 0 -0.0 0'])
@@ -183,7 +183,7 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'1 2 3 4 0 0 0 1\n', '1 of 1 rows give a pose, needed at least 2; record'),
     (b'1 2 3 4 0 0 0 1\n' * 2, '1 pose with a stamp of its own, needed at least 2'),
     (b'nan nan nan nan nan nan nan nan\n' * 3,
-     r'0 of 3 rows give a pose, needed at least 2 \(3 of 3 poses are not finite: dropped\)'),
+     r'0 of 3 rows give a pose, needed at least 2 \(dropped 3 of 3 poses, not finite\)'),
     (b'1 2 3 4 0 0 0 1\n2 nan 3 4 0 0 0 1\n3 4',
      '1 of 2 rows give a pose.*the last line, 3, is cut off: dropped; 1 of 2 poses are not'),
 ])
@@ -269,7 +269,7 @@ def test_kitti_matrix_that_is_no_rotation(tmp_path):
 def test_kitti_without_two_poses(tmp_path):
     path = _write(tmp_path / 'poses.txt', ['1 0 0 0 0 1 0 0 0 0 1 0', 'nan ' * 12] * 2)
     times = _write(tmp_path / 't.txt', ['nan', '1', '2', '3'])
-    with pytest.raises(SourceError, match=r'1 of 4 rows .* \(3 of 4 poses are not finite'):
+    with pytest.raises(SourceError, match=r'1 of 4 rows .* \(dropped 3 of 4 poses, not finite'):
         FileSource(path, times=times).load()
 
 

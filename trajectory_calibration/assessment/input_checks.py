@@ -96,8 +96,8 @@ def check_pairs(
     elif _are_inverted(pairs, a, b):
         raise MotionError(
             f'{a.sensor_frame} and {b.sensor_frame} seem to hold inverted poses (of the world in '
-            'the sensor): as they are read, both move farther than any body would. '
-            'Use --invert-a --invert-b, or --no-input-checks if they are right')
+            'the sensor): both move too far. Use --invert-a --invert-b, or --no-input-checks if '
+            'they are right')
     return _steady(a, b, clock, config)
 
 
@@ -123,9 +123,9 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     scale = ('give it (scale)' if solver == 'drift_aware' else
              'give it (scale), or use solver drift_aware, which finds it')
     raise MotionError(
-        f'the rotation that {solver} found does not fit: half of the turns differ by more than '
-        f'{share:.0%}, with the best rotation by {best.turn_share:.1%}; {frames[0]} and '
-        f'{frames[1]} did turn together. Check the unit and scale of both; {scale}')
+        f'the rotation that {solver} found does not fit: half of the turns differ by '
+        f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
+        f'together. Check the unit and scale of both; {scale}')
 
 
 def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
@@ -147,7 +147,7 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
     warning = Finding(
         'orientation-jumps', f'{counted(len(found), "orientation jump")} (largest '
         f'{rounded(np.rad2deg(apart[k]))} deg at {since_s:.1f} s): SLAM restart or loop closure? '
-        'Use drift_aware, which excludes such steps, or calibrate the parts separately',
+        'Use drift_aware, which excludes them, or calibrate the parts separately',
         {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))})
     return (warning,)
 
@@ -197,10 +197,9 @@ def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
     if mirrored is not None and mirrored.one_body and (
             mirrored.misfit < _MUCH_LESS * found.misfit):
         raise MotionError(
-            f'one of {frames} is in a left-handed frame: with one axis of its world mirrored, '
-            f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way '
-            f'stay unexplained, as they are {found.turn_share:.1%} and '
-            f'{found.way_share:.1%}. Export it in a right-handed frame')
+            f'one of {frames} is in a left-handed frame: mirrored, it misses '
+            f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way, as '
+            f'it is {found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
 
 
 def _refuse_other_reading(
@@ -214,9 +213,9 @@ def _refuse_other_reading(
         return
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
-        f'{frames} do not fit as they are read: {what}? Then they fit to {best.way_share:.1%} of '
-        f'the way instead of {found.way_share:.0%}, and to {best.turn_share:.1%} of the turns '
-        f'instead of {found.turn_share:.0%}. Use {option}')
+        f'{frames} do not fit as read: {what}? Then {best.way_share:.1%} of the way and '
+        f'{best.turn_share:.1%} of the turns differ, instead of {found.way_share:.0%} and '
+        f'{found.turn_share:.0%}. Use {option}')
 
 
 def _other_readings(
@@ -286,17 +285,16 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
         item.turn_share < _NO_TURN_SHARED or item.way_share < _NO_WAY_SHARED for item in found)
     if not together:
         raise MotionError(
-            f'{frames} did not turn together: over {turned.lag} poses they turn by '
+            f'{frames} did not turn together: over {counted(turned.lag, "pose")} they turn by '
             f'{rounded(np.rad2deg(turned.turned))} deg and apart by '
             f'{rounded(np.rad2deg(turned.turned_apart))} deg. {advice}')
     moved = growth(found, 'way_apart')
     if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
         apart = max(found, key=lambda item: item.way_apart)
         raise MotionError(
-            f'{frames} turned together, but their positions do not fit one vehicle: over '
-            f'{apart.lag} poses they move apart by {rounded(apart.way_apart)} m, {moved:.1f} '
-            'times what errors of single poses and steps make likely. Check the axes and the '
-            'units of both, or set input_checks to false')
+            f'{frames} turned together, but their positions do not fit one vehicle: apart by '
+            f'{rounded(apart.way_apart)} m over {counted(apart.lag, "pose")}, {moved:.1f} times '
+            'what noise makes. Check axes and units of both, or use --no-input-checks')
 
 
 def _steady(
@@ -310,9 +308,9 @@ def _steady(
     if steadiness is None:
         return ()
     text = (
-        f'a clock offset of {offset_s:+.2f} s makes {a.sensor_frame} and {b.sensor_frame} agree, '
-        f'but it varies by {1e3 * steadiness.scatter_s:.0f} ms along the drive, as of two '
-        'vehicles on one road. If it is one vehicle, set time_offset with time_offset_mode fixed')
+        f'the clock offset between {a.sensor_frame} and {b.sensor_frame}, {offset_s:+.2f} s, '
+        f'varies by {1e3 * steadiness.scatter_s:.0f} ms: two vehicles on one road? If it is one, '
+        'set time_offset, and time_offset_mode to fixed')
     refused, asked = (steadiness.scatter_s > seconds and steadiness.chi_squared > times
                       for seconds, times in _UNSTEADY)
     if refused:

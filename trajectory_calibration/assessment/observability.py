@@ -8,7 +8,7 @@ standard deviation is large. The limits are settings, the words are for the driv
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.errors import counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -43,6 +43,12 @@ _SHARED = 0.5
 
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
+
+# What shows a weak direction better.
+_MORE = {'translation': 'Drive tighter curves, steeper ramps, or longer',
+         'rotation': 'Drive more curves, ramps and banks, or longer'}
+
+_UNITS = {'translation': 'm', 'rotation': 'deg'}
 
 # Root mean square rotations below this, degrees, hardly count as turning.
 _HARDLY = 0.2
@@ -168,8 +174,7 @@ def observe(
         tuple(excitation.tolist()),
         tuple(gain.tolist()),
         tuple(tuple(axis) for axis in axes.tolist()),
-        tuple(_describe(item, single, float(np.linalg.norm(excitation)), frame)
-              for item in weak_axes))
+        _describe(weak_axes, single, float(np.linalg.norm(excitation)), frame))
 
 
 def require_motion_beyond_noise(
@@ -188,9 +193,9 @@ def require_motion_beyond_noise(
         return
     if len(split_pairs(T_a_b, pairs).unobserved) == len(DEGREES_OF_FREEDOM):
         raise MotionError(
-            f'no motion beyond the noise in {len(pairs)} pose pairs: no direction of the '
-            'extrinsic is known. A stationary vehicle cannot be calibrated: drive curves, and a '
-            'ramp or a bank')
+            f'no motion beyond the noise in {counted(len(pairs), "pose pair")}: no direction of '
+            'the extrinsic is known. A stationary vehicle cannot be calibrated: drive curves, and '
+            'a ramp or a bank')
 
 
 def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -283,42 +288,69 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
 
 
 def _describe(
-    item: WeakAxis, single: FloatArray | None, turned: float, frame: str,
-) -> Finding:
-    """Return what a driver needs to know about a weak direction.
+    items: Iterable[WeakAxis], single: FloatArray | None, turned: float, frame: str,
+) -> tuple[Finding, ...]:
+    """Return what a driver needs to know: one finding for all directions with one cause.
 
     ``single`` is the axis of nearly all turns, or None; ``turned`` is their size in degrees.
     """
-    name = axis_name(np.array(item.axis))
-    where = (f'translation along {name} of {frame}' if item.kind == 'translation'
-             else f'rotation about {name} of {frame}')
-    unit = 'm' if item.kind == 'translation' else 'deg'
-    values = {'kind': item.kind, 'axis': list(item.axis), f'std_{unit}': item.std}
-    if item.status == WEAK:
-        advice = ('drive tighter curves, steeper ramps, or longer' if item.kind == 'translation'
-                  else 'drive more curves, ramps and banks, or longer')
-        return Finding('direction-weak', f'{where} weak: standard deviation {item.std:.2g} '
-                       f'{unit}. {advice.capitalize()}', values)
+    causes: dict[tuple[str, str], list[WeakAxis]] = {}
+    for item in items:
+        cause = (item.status, _MORE[item.kind] if item.status == WEAK
+                 else _why_open(np.array(item.axis), single, turned))
+        causes.setdefault(cause, []).append(item)
+    return tuple(_finding(status, why, found, frame)
+                 for (status, why), found in causes.items())
+
+
+def _why_open(axis: FloatArray, single: FloatArray | None, turned: float) -> str:
     if turned < _HARDLY:
-        why = 'the vehicle hardly turned. Drive curves, and a ramp or a bank'
-    elif single is not None and abs(single @ np.array(item.axis)) > _NEAR_AXIS:
-        why = (f'the vehicle turned about {axis_name(single)} only. Drive a ramp or a bank')
-    else:
-        why = ('the noise is too large for the motion. Turn more, and check units, clocks and '
-               'jumps')
-    return Finding('direction-unobserved', f'{where} unobservable: {why}{_ways_out(item)}', values)
+        return 'the vehicle hardly turned. Drive curves, and a ramp or a bank'
+    if single is not None and abs(single @ axis) > _NEAR_AXIS:
+        return f'the vehicle turned about {axis_name(single)} only. Drive a ramp or a bank'
+    return 'noise too large for the motion. Turn more; check units, clocks and jumps'
 
 
-def _ways_out(item: WeakAxis) -> str:
-    """Return the other two ways out of a direction that the motion left open."""
-    publish = 'or, in the node, set allow_unobserved to publish it all the same'
-    if item.kind == 'rotation':
-        prior = 'measure it and add --prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
-    elif max(np.abs(item.axis)) > _NEAR_AXIS:
-        k = int(np.argmax(np.abs(item.axis)))
-        known = ','.join('XYZ'[k] if k == j else '-' for j in range(3))
-        prior = f'measure it and add --prior-translation={known} --prior-translation-std=0.01'
-    else:
-        # One number along an axis of the sensor does not fix an oblique direction.
-        prior = 'give all of --prior-translation=X,Y,Z --prior-translation-std=0.01'
-    return f', or {prior}, {publish}'
+def _finding(status: str, why: str, items: Sequence[WeakAxis], frame: str) -> Finding:
+    where = f'{" and ".join(_named(items))} of {frame}'
+    values = {'directions': [
+        {'kind': item.kind, 'axis': list(item.axis), f'std_{_UNITS[item.kind]}': item.std}
+        for item in items]}
+    if status == WEAK:
+        std = ', '.join(f'{item.std:.2g}' for item in items)
+        return Finding('direction-weak', f'{where} weak: standard deviation {std} '
+                       f'{_UNITS[items[0].kind]}. {why}', values)
+    return Finding('direction-unobserved', f'{where} unobservable: {why}, or add '
+                   f'{_priors(items)}, or set allow_unobserved (node)', values)
+
+
+def _named(items: Sequence[WeakAxis]) -> Iterator[str]:
+    """Yield 'translation along x, y' and 'rotation about z'; without axes where all are meant."""
+    kinds = {item.kind for item in items}
+    for kind, how in (('translation', 'along'), ('rotation', 'about')):
+        axes = [item.axis for item in items if item.kind == kind]
+        if len(axes) == 3:
+            yield kind
+        elif axes and len(kinds) > 1 and any(map(_is_oblique, axes)):
+            yield f'part of the {kind}'
+        elif axes:
+            names = sorted(axis_name(np.array(axis)) for axis in axes)
+            yield f'{kind} {how} {", ".join(names)}'
+
+
+def _priors(items: Sequence[WeakAxis]) -> str:
+    """Return the options that give what was measured by hand."""
+    kinds = {item.kind for item in items}
+    if len(kinds) > 1:
+        return '--prior-translation and --prior-rotation'
+    if kinds == {'rotation'}:
+        return '--prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
+    axes = [item.axis for item in items]
+    # One number along an axis of the sensor does not fix an oblique direction.
+    meant = range(3) if any(map(_is_oblique, axes)) else np.abs(axes).argmax(axis=1)
+    known = ','.join('XYZ'[k] if k in meant else '-' for k in range(3))
+    return f'--prior-translation={known} --prior-translation-std=0.01'
+
+
+def _is_oblique(axis: Iterable[float]) -> bool:
+    return max(map(abs, axis)) <= _NEAR_AXIS

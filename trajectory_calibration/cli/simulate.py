@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.cli.report import require_new
-from trajectory_calibration.errors import ConfigError, SourceError
+from trajectory_calibration.errors import ConfigError, counted, SourceError
 
 if TYPE_CHECKING:
     from trajectory_calibration.simulation import Noise, Scenario, SimulatedPair
@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         pair = simulate(scenario, arguments.seed, mounting)
         hint = _write(pair, arguments)
     for name, trajectory in (('a', pair.a), ('b', pair.b)):
-        print(f'{name}: {len(trajectory)} poses of {trajectory.sensor_frame} over '
+        print(f'{name}: {counted(len(trajectory), "pose")} of {trajectory.sensor_frame} over '
               f'{trajectory.duration_s:g} s')
     print(f'try: {hint}')
     return 0

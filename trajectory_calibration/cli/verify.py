@@ -23,7 +23,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'verify', help='tell whether a saved result holds on other data',
         usage='%(prog)s [options] RESULT A B',
         description='Calibrate A and B without priors, and compare with a saved result. Exit '
-        'status: 0 holds, 3 cannot tell, 4 moved, 1 the data cannot be read.')
+        'status: 0 holds; 3 cannot tell, or not all directions were tested; 4 moved; 1 the data '
+        'cannot be read, or A and B are exchanged.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
     add_input_arguments(parser)
     parser.add_argument(

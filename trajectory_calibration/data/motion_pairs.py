@@ -129,8 +129,8 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
         i = j - j % n
     if len(j) < 2:
         raise MotionError(
-            f'reference {reference} leaves {counted(len(j), "motion")} of {poses} poses, needed '
-            'at least 2; use a smaller n or record longer')
+            f'reference {reference} leaves {counted(len(j), "motion")} of '
+            f'{counted(poses, "pose")}, needed at least 2; use a smaller n or record longer')
     return i, j
 
 

@@ -86,8 +86,8 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
                 'time-unit',
                 f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
                 f'and {long_.usual_step_ns * 1e-9:.3g} s in {long_.sensor_frame}: are the times '
-                f'of {long_.sensor_frame} in {unit}, those of {short.sensor_frame} in seconds? '
-                f'Then divide them by {divisor}; --time-unit reads them', {'factor': factor})
+                f'of {long_.sensor_frame} in {unit}? Then divide them by {divisor}; --time-unit '
+                'reads them', {'factor': factor})
             return (question,)
     return ()
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from trajectory_calibration.data.findings import Finding, texts
-from trajectory_calibration.errors import TrajectoryError
+from trajectory_calibration.errors import counted, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -292,13 +292,14 @@ def _checked_stamps(
     notes = []
     backwards = int(np.count_nonzero(later < earlier))
     if backwards:
-        notes.append(f'time ran backwards {backwards} times; the poses were sorted by stamp')
+        notes.append('sorted the poses by stamp: time ran backwards in '
+                     f'{counted(backwards, "place")}')
     order = np.argsort(stamps_ns, kind='stable')
     ordered = stamps_ns[order]
     first = np.concatenate([[True], ordered[1:] > ordered[:-1]])
     duplicates = int(np.count_nonzero(~first))
     if duplicates:
-        notes.append(f'{duplicates} poses repeat the stamp of another and were dropped')
+        notes.append(f'dropped {counted(duplicates, "pose")} with the stamp of another')
     return stamps_ns, order[first], notes
 
 
@@ -352,4 +353,4 @@ def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str
     if worst <= ROUNDING_TOLERANCE:
         return None
     count = int(np.count_nonzero(deviation > ROUNDING_TOLERANCE))
-    return f'{count} rotations were normalised (off by up to {worst:.2g})'
+    return f'normalised {counted(count, "rotation")} (off by up to {worst:.2g})'

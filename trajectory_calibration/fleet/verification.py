@@ -36,6 +36,9 @@ EXIT_STATUS = {HOLDS: 0, CANNOT_TELL: 3, MOVED: 4}
 # Of an axis: not known before, so that there is nothing to verify.
 NOT_KNOWN = 'not in the result'
 
+# With fewer known directions an extrinsic resembles the inverse of another one by chance.
+_FEWEST_DIRECTIONS = 2
+
 # Root mean square rotation of a motion below which a vehicle hardly turned, degrees.
 _HARDLY = 0.2
 
@@ -69,27 +72,31 @@ class Verification:
 
     @property
     def exit_status(self) -> int:
-        """Return 0 for holds, 3 for cannot tell, 4 for moved."""
-        return EXIT_STATUS[self.verdict]
+        """Return 0 where every direction holds, 4 for moved, 3 where one was not tested."""
+        status = EXIT_STATUS[self.verdict]
+        return status or (EXIT_STATUS[CANNOT_TELL] if NOT_KNOWN in self.status.values() else 0)
 
     def describe(self) -> str:
         """Return the verdict in one sentence."""
         found = self.difference
         if self.verdict == MOVED and found is not None:
             return f'moved by {found.describe()}'
+        held = [name for name, status in self.status.items() if status == HOLDS]
         if self.verdict == CANNOT_TELL:
             open_ = [name for name, status in self.status.items() if status == CANNOT_TELL]
-            held = [name for name, status in self.status.items() if status == HOLDS]
             rest = f'; {", ".join(held)} hold' if held else ''
             return f'cannot tell {", ".join(open_)} (needs: {self.needs}){rest}'
-        unknown = [name for name, status in self.status.items() if status == NOT_KNOWN]
-        rest = f'; not in the saved result: {", ".join(unknown)}' if unknown else ''
+        words = HOLDS
         if found is not None:
             weak = [k for k, name in enumerate(DEGREES_OF_FREEDOM)
                     if found.weak[k] and self.status[name] == HOLDS]
             if weak:
-                rest = f', weakly tested {", ".join(AXES[k] for k in weak)}{rest}'
-        return f'holds{rest}'
+                words += f', weakly tested {", ".join(AXES[k] for k in weak)}'
+        unknown = [name for name, status in self.status.items() if status == NOT_KNOWN]
+        if unknown:
+            words = (f'{words.replace(HOLDS, f"holds in {len(held)} of 6 directions", 1)}; '
+                     f'not tested: {", ".join(unknown)} (not in the saved result)')
+        return words
 
     def describe_resolution(self) -> str:
         """Return the smallest shift that would have been noticed, axis by axis."""
@@ -151,7 +158,8 @@ def verify(
     Raises
     ------
     ResultError
-        The saved result has no covariance, or its frames are those of the data in exchange.
+        The saved result has no covariance, or A and B are exchanged: by their frames, or because
+        the new answer is the inverse of the saved one.
 
     """
     if result.covariance is None:
@@ -173,6 +181,10 @@ def verify(
         return _without_answer(result, ResultError('the solver gave no covariance'), notes)
     step = difference((result.T_a_b, result.covariance), (found.T_a_b, found.covariance),
                       config, probability)
+    if step.differs and _is_exchanged(result, found, config):
+        raise ResultError(
+            'are A and B exchanged? The new answer is the inverse of the saved one. Give first '
+            f'the trajectory of {result.frame_a}, then that of {result.frame_b}')
     status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         if step.differs and k in step.named:
@@ -185,8 +197,6 @@ def verify(
                # Where the saved result knows nothing, nothing holds.
                else HOLDS if {*status.values()} <= {HOLDS, NOT_KNOWN} and HOLDS in status.values()
                else CANNOT_TELL)
-    if verdict == MOVED and _is_exchanged(result, found, config):
-        notes.append('the new answer is the inverse of the saved one: exchange A and B')
     needs = '' if verdict != CANNOT_TELL else _needs(found.observability)
     return Verification(verdict, status, step, needs, found, tuple(notes))
 
@@ -194,10 +204,13 @@ def verify(
 def _is_exchanged(
     saved: CalibrationResult, found: CalibrationResult, config: CalibrationConfig,
 ) -> bool:
+    """Tell whether the inverse of the saved extrinsic fits, in directions enough to say so."""
     if found.covariance is None or saved.covariance is None:
         return False
-    return not difference((se3.inverse(saved.T_a_b), saved.covariance),
-                          (found.T_a_b, found.covariance), config).differs
+    J = se3.inverse_step(saved.T_a_b)
+    step = difference((se3.inverse(saved.T_a_b), J @ saved.covariance @ J.T),
+                      (found.T_a_b, found.covariance), config)
+    return step.degrees_of_freedom >= _FEWEST_DIRECTIONS and not step.differs
 
 
 def _without_answer(

@@ -251,6 +251,16 @@ def step_between(start: ArrayLike, end: ArrayLike) -> FloatArray:
     return np.concatenate([T_1[..., :3, 3] - T_0[..., :3, 3], turn], axis=-1)
 
 
+def inverse_step(pose: ArrayLike) -> FloatArray:
+    """Return (6, 6) J: steps of a (4, 4) pose, times J, are the steps of its inverse."""
+    T = np.asarray(pose, dtype=np.float64)
+    R, t = T[:3, :3], T[:3, 3]
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = -R.T
+    J[:3, 3:] = -R.T @ skew(t)
+    return J
+
+
 def interpolate(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
     """Return the (..., 4, 4) poses at ``fraction`` (...) of the geodesic from start to end.
 

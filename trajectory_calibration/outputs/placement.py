@@ -50,13 +50,10 @@ class Placement:
 
     def inverted(self) -> Placement:
         """Return the pose of the parent in the child."""
-        R, t = self.T_parent_child[:3, :3], self.T_parent_child[:3, 3]
-        J = np.zeros((6, 6))
-        J[:3, :3] = J[3:, 3:] = -R.T
-        J[:3, 3:] = -R.T @ se3.skew(t)
         return replace(
             self, parent=self.child, child=self.parent,
-            T_parent_child=se3.inverse(self.T_parent_child), covariance=self._carried(J))
+            T_parent_child=se3.inverse(self.T_parent_child),
+            covariance=self._carried(se3.inverse_step(self.T_parent_child)))
 
     def under(self, parent: str, T_new_parent: FloatArray) -> Placement:
         """Return the same child in another parent.

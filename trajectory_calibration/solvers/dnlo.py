@@ -32,7 +32,7 @@ import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import MotionError, require
+from trajectory_calibration.errors import counted, MotionError, require
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
@@ -83,9 +83,9 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     kept = int(np.count_nonzero(inliers))
     if kept < _LEAST_KEPT:
         raise MotionError(
-            f'dnlo keeps {kept} of {len(motions)} motions, needed at least {_LEAST_KEPT}: the '
-            f'squared residuals of the rest are above dnlo_c, {cost.c:g}. Raise dnlo_c or '
-            'dnlo_min_inliers')
+            f'dnlo keeps {kept} of {counted(len(motions), "motion")}, needed at least '
+            f'{_LEAST_KEPT}: the squared residuals of the rest are above dnlo_c, {cost.c:g}. '
+            'Raise dnlo_c or dnlo_min_inliers')
     return Solution(
         quadratic.polish(best.T_a_b[0], motions, weights), float(best.cost[0]), steps,
         inliers=inliers, linearise=linear.frobenius)

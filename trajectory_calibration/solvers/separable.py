@@ -26,7 +26,7 @@ from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.errors import counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
@@ -83,11 +83,11 @@ def leave_out_half_turns(
     count, limit = int(np.count_nonzero(~kept)), f'{np.rad2deg(_HALF_TURN):.0f} degrees'
     if len(motions) - count < 2:
         raise MotionError(
-            f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
-            'axis that this solver compares; needed 2 that turn less: use another reference, as '
-            'auto, or solver dnl')
-    found = (f'{count} of {len(motions)} motions turn by more than {limit}, where noise flips the '
-             'axis')
+            f'{count} of {counted(len(motions), "motion")} turn by more than {limit}, where noise '
+            'flips the axis that this solver compares; needed 2 that turn less: use another '
+            'reference, as auto, or solver dnl')
+    found = (f'{count} of {counted(len(motions), "motion")} turn by more than {limit}, where '
+             'noise flips the axis')
     if motions.reference == 'A':
         return motions, None, (Finding(
             'half-turns', f'{found}; they are kept, as published: use a reference B<n>, or solver '

@@ -14,9 +14,10 @@ import os
 from pathlib import Path
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import SourceError, TopicError
+from trajectory_calibration.errors import counted, SourceError, TopicError
 from trajectory_calibration.sources.cdr import TF, TRAJECTORY_TYPES
 from trajectory_calibration.sources.channels import border, Channel, Storage
+from trajectory_calibration.sources.overlaps import without_repeats
 from trajectory_calibration.sources.storage import (
     Bag,
     find_bag,
@@ -84,7 +85,9 @@ def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
         A path is no bag, or nothing in any of them can be read.
 
     """
-    opened = [_OpenBag(find_bag(Path(path))) for path in paths]
+    # Patterns of the shell name a bag twice.
+    once = {os.path.realpath(path): Path(path) for path in paths}
+    opened = [_OpenBag(find_bag(path)) for path in once.values()]
     with ExitStack() as stack:
         for bag in opened:
             stack.callback(bag.close)
@@ -157,7 +160,7 @@ class BagReader:
                 track = transform_track(name, transform_tree(tf), tf)
             else:
                 topic = topics[name]
-                track = join_tracks(topic, types[topic], parts[topic])
+                track = join_tracks(topic, types[topic], without_repeats(parts[topic]))
             result[name] = replace(track, warnings=tuple(warnings))
         return result
 
@@ -168,12 +171,12 @@ class BagReader:
 
     def _gather(
         self, types: dict[str, str], transforms: list[str], progress: Progress | None,
-    ) -> tuple[dict[str, list[TopicTrack]], list[TransformCollector]]:
+    ) -> tuple[dict[str, list[tuple[str, TopicTrack]]], list[TransformCollector]]:
         """Read all bags once."""
         wanted = {**types, **dict.fromkeys(transforms, TF)}
         total = sum(channel.messages for channel in self.channels if channel.topic in wanted)
         meter = _Meter(progress, total)
-        parts: dict[str, list[TopicTrack]] = {topic: [] for topic in types}
+        parts: dict[str, list[tuple[str, TopicTrack]]] = {topic: [] for topic in types}
         tf: list[TransformCollector] = []
         for bag in self._bags:
             for item in bag.files:
@@ -181,7 +184,7 @@ class BagReader:
                     if isinstance(collector, TransformCollector):
                         tf.append(collector)
                     else:
-                        parts[topic].append(collector.track())
+                        parts[topic].append((str(bag.bag.path), collector.track()))
                     bag.found[topic] = bag.found.get(topic, 0) + collector.count
         return parts, [collector for collector in tf if collector.count]
 
@@ -222,7 +225,8 @@ class BagReader:
 
     def _topic_error(self, found: str) -> TopicError:
         serving = [
-            f'{channel.topic} ({channel.msgtype.split("/")[-1]}, {channel.messages} messages)'
+            f'{channel.topic} ({channel.msgtype.split("/")[-1]}, '
+            f'{counted(channel.messages, "message")})'
             for channel in self.channels
             if channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE]
         if self._transform_topics(required=False):
@@ -309,11 +313,11 @@ class _OpenBag:
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
         found = f'{self.bag.path}: read {read}'
         if expected > read:
-            return [f'{found} of {expected} messages, {expected - read} are missing']
+            return [f'{found} of {counted(expected, "message")}, {expected - read} missing']
         known = topic in self.bag.declared or all(
             item.storage is not None and item.storage.counted for item in self.files)
         if any(item.damage for item in self.files) and not known:
-            return [f'{found} messages; how many are missing is not known']
+            return [f'{self.bag.path}: read {counted(read, "message")} of an unknown number']
         return []
 
 

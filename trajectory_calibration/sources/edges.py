@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
@@ -92,8 +93,9 @@ class Edge:
         longest = max(parts, key=len)
         if len(parts) > 1:
             notes.append(
-                f'the time of {self} ran backwards {len(parts) - 1} times (was the bag or the '
-                f'simulation restarted?): kept {len(longest)} of {len(stamps_ns)} transforms')
+                f'the time of {self} ran backwards {counted(len(parts) - 1, "time")} (was the bag '
+                f'or the simulation restarted?): kept {len(longest)} of {len(stamps_ns)} '
+                'transforms')
         stamps_ns, first = np.unique(stamps_ns[longest], return_index=True)
         return stamps_ns, poses[longest][first]
 

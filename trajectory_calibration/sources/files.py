@@ -210,9 +210,9 @@ class FileSource:
             k = int(np.argmax(wrong))
             raise SourceError(
                 f'{self.path}, line {table.line_numbers[k]}: the norm of the quaternion is '
-                f'{norm[k]:.6g}, needed 1; {table.width} columns were read as {layout.source} '
-                f'says, the quaternion in columns {min(layout.quaternion) + 1} to '
-                f'{max(layout.quaternion) + 1}. Is that right? Otherwise say --columns')
+                f'{norm[k]:.6g}, needed 1; read from columns {min(layout.quaternion) + 1} to '
+                f'{max(layout.quaternion) + 1} of {table.width} ({layout.source}). If these are '
+                'wrong: --columns')
         first = np.abs(raw.poses[~lost][:1, 3:])
         if layout.source in ('TUM', 'its numbers') and np.array_equal(first, [[1, 0, 0, 0]]) and (
                 self.quaternion_order is None):
@@ -244,7 +244,8 @@ class FileSource:
         # A last line that was cut off has left one of the two files a row shorter.
         if abs(poses - count) > bool(raw.findings):
             raise SourceError(
-                f'{self.path} holds {poses} poses and {self.times} {count} times; needed one time '
+                f'{self.path} holds {counted(poses, "pose")} and {self.times} '
+                f'{counted(count, "time")}; needed one time '
                 'for each pose')
         used = min(poses, count)
         raw.poses[:used][missing[:used]] = np.nan
@@ -256,23 +257,24 @@ class FileSource:
         count = int(np.count_nonzero(lost))
         if count:
             raw.findings.append(Finding(
-                'poses-lost', f'{self._name}: {count} of {len(lost)} poses are not finite: '
-                'dropped', {'poses': count}))
+                'poses-lost', f'{self._name}: dropped {count} of {counted(len(lost), "pose")}, '
+                'not finite', {'poses': count}))
         identity = np.zeros(len(lost), dtype=bool)
         identity[~lost] = lost_as_identity(raw.poses[~lost])
         count = int(np.count_nonzero(identity))
         if count:
             raw.findings.append(Finding(
-                'poses-lost', f'{self._name}: {count} of {len(lost)} poses are the identity, far '
-                'from their neighbours (the SLAM was lost?): dropped', {'poses': count}))
+                'poses-lost', f'{self._name}: dropped {count} of {counted(len(lost), "pose")}: '
+                'identity, far from the neighbours (the SLAM was lost?)', {'poses': count}))
         keep = ~lost & ~identity
         if np.count_nonzero(keep) < 2:
             reasons = '; '.join(
                 found.text.removeprefix(f'{self._name}: ') for found in raw.findings)
             because = f' ({reasons})' if reasons else ''
             raise SourceError(
-                f'{self.path}: {np.count_nonzero(keep)} of {len(keep)} rows give a pose, needed '
-                f'at least 2{because}; record while the sensor moves and its SLAM tracks')
+                f'{self.path}: {np.count_nonzero(keep)} of {counted(len(keep), "row")} give a '
+                f'pose, needed at least 2{because}; record while the sensor moves and its SLAM '
+                'tracks')
         return keep
 
     @property
@@ -298,8 +300,8 @@ def read_transform(path: str | os.PathLike[str]) -> FloatArray:
             '[t] x y z qx qy qz qw')
     if table.width not in (7, 8):
         raise SourceError(
-            f'{path}, line {table.line_numbers[0]}: {table.width} numbers, needed 7 or 8: '
-            '[t] x y z qx qy qz qw')
+            f'{path}, line {table.line_numbers[0]}: {counted(table.width, "number")}, needed 7 or '
+            '8: [t] x y z qx qy qz qw')
     values = table.read_numbers(list(range(table.width - 7, table.width))).values[0]
     norm = float(np.linalg.norm(values[3:]))
     if not np.isfinite(values).all() or not abs(norm - 1) <= ROTATION_TOLERANCE:

@@ -189,9 +189,9 @@ def from_numbers(
         return replace(layout.ordered('wxyz'), source='EuRoC', unit='ns')
     if min(quaternion) < min(layout.position):
         raise SourceError(
-            f'{seen}; the quaternion seems to be in the columns {quaternion[0] + 1} to '
-            f'{quaternion[3] + 1}, in an order that the numbers do not tell; say --columns '
-            f'{_names(layout)} or --columns {_names(layout.ordered("wxyz"))}')
+            f'{seen}; the order of the quaternion (columns {quaternion[0] + 1} to '
+            f'{quaternion[3] + 1}?) is open: --columns {_names(layout)} or --columns '
+            f'{_names(layout.ordered("wxyz"))}')
     if by_commas:
         raise SourceError(
             f'{seen}, separated by commas: the order of the quaternion is open; say '

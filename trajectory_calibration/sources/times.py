@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import TIME_UNITS
 from trajectory_calibration.sources.text import read_bytes, Table
@@ -94,19 +94,24 @@ def require_own_stamps(
     distinct = np.unique(stamps_ns)
     if len(distinct) == 1:
         raise SourceError(
-            f'{name}: all {count} poses have the same time, {distinct[0] * 1e-9:.9g} s; needed '
-            f'the time of each pose, not rounded: {advice}')
+            f'{name}: all {counted(count, "pose")} have the same time, {distinct[0] * 1e-9:.9g} '
+            f's; needed the time of each pose, not rounded: {advice}')
     step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
     digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
     raise SourceError(
-        f'{name}: {found} of {count} poses share their time with another: the times are '
-        f'rounded to {step:.3g} s ({digits} digits); {advice}')
+        f'{name}: {found} of {counted(count, "pose")} share their time with another: the times '
+        f'are rounded to {step:.3g} s ({digits} digits); {advice}')
 
 
 def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> list[Finding]:
     """Return a question where the times, read as seconds, look like numbers of frames."""
-    whole = len(stamps_ns) >= _FEWEST and (places == 0).all() and stamps_ns[0] >= 0
-    if not whole or stamps_ns[-1] > _LARGEST_NUMBER * 1e9 or (np.diff(stamps_ns) <= 0).any():
+    steps = np.diff(stamps_ns)
+    if len(stamps_ns) < _FEWEST or (steps <= 0).any() or stamps_ns[0] < 0 or (
+            stamps_ns[-1] > _LARGEST_NUMBER * 1e9):
+        return []
+    # KISS-ICP writes 0.0000, 1.0000, ... where its data set has no times.
+    counted_up = stamps_ns[0] in (0, 10**9) and (steps == 10**9).all()
+    if not counted_up and (places > 0).any():
         return []
     first = ', '.join(str(int(stamp) // 10**9) for stamp in stamps_ns[:3])
     return [Finding(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.plausibility import lost_as_identity
 from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, Trajectory
-from trajectory_calibration.errors import SourceError, TrajectoryError
+from trajectory_calibration.errors import counted, SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
@@ -79,7 +79,7 @@ class TopicTrack:
         if self.unreadable:
             notes.append(Finding(
                 'input-repaired',
-                f'{self.unreadable} of {self.messages} messages cannot be read: dropped'))
+                f'dropped {self.unreadable} of {counted(self.messages, "message")}: unreadable'))
         keep = np.ones(len(self.poses), dtype=bool)
         world, sensor = self._keep_one_frame(keep, notes)
         stamps_ns = self._keep_stamped(keep, notes)
@@ -89,8 +89,8 @@ class TopicTrack:
         if np.count_nonzero(keep) < 2:
             reasons = f' ({"; ".join(texts(notes))})' if notes else ''
             raise SourceError(
-                f'{self.topic}: {np.count_nonzero(keep)} of {self.messages} messages give a pose, '
-                f'needed at least 2{reasons}; record while the sensor moves')
+                f'{self.topic}: {np.count_nonzero(keep)} of {counted(self.messages, "message")} '
+                f'give a pose, needed at least 2{reasons}; record while the sensor moves')
         require_own_stamps(
             stamps_ns[keep], self.poses[keep], self.topic,
             'use a topic whose messages carry the time of each pose')
@@ -117,7 +117,7 @@ class TopicTrack:
                 for k, (frames, count) in enumerate(zip(names, counts, strict=True))
                 if count and k != most)
             notes.append(Finding(
-                'input-repaired', f'the frames change: kept {counts[most]} poses in '
+                'input-repaired', f'the frames change: kept {counted(counts[most], "pose")} in '
                 f'{_frame_names(names[most])}, dropped {others}'))
         slashed = [name for pair in self.frames for name in pair if name.startswith('/')]
         if slashed:
@@ -136,24 +136,25 @@ class TopicTrack:
                 'the headers carry no stamps: the times of reception are used'))
             return self.received_ns
         if count:
-            notes.append(Finding('input-repaired', f'{count} headers carry no stamp: dropped'))
+            notes.append(Finding(
+                'input-repaired', f'dropped {counted(count, "pose")} without a stamp'))
             keep &= ~missing
         return self.stamps_ns
 
     def _keep_poses(self, keep: NDArray[np.bool_], notes: list[Finding]) -> None:
         for bad, what in zip(pose_faults(self.poses), (
-                'are not finite', 'have a quaternion that is not of unit length',
-                f'lie more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
+                'not finite', 'quaternion not of unit length',
+                f'more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
             if (bad & keep).any():
-                notes.append(Finding(
-                    'poses-lost', f'{np.count_nonzero(bad & keep)} poses {what}: dropped'))
+                count = counted(int(np.count_nonzero(bad & keep)), 'pose')
+                notes.append(Finding('poses-lost', f'dropped {count}: {what}'))
             keep &= ~bad
         lost = np.zeros(len(keep), dtype=bool)
         lost[keep] = lost_as_identity(self.poses[keep])
         if lost.any():
             notes.append(Finding(
-                'poses-lost', f'{np.count_nonzero(lost)} poses are the identity, far from their '
-                'neighbours (the SLAM was lost?): dropped'))
+                'poses-lost', f'dropped {counted(int(lost.sum()), "pose")}: identity, far '
+                'from the neighbours (the SLAM was lost?)'))
         keep &= ~lost
 
 
@@ -339,9 +340,10 @@ def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
              if path.stamps_ns.max() < start or path.stamps_ns.min() > end]
     if not apart:
         return []
-    found = f'{len(apart)} earlier paths with {sum(len(path.poses) for path in apart)} poses'
+    dropped = counted(len(apart), 'earlier path')
+    poses = counted(sum(len(path.poses) for path in apart), 'pose')
     advice = 'only the last path is used; calibrate each bag by itself'
-    return [f'{found} of another time: dropped, {advice}']
+    return [f'{dropped} with {poses} of another time: dropped, {advice}']
 
 
 def _nothing() -> tuple[

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from trajectory_calibration.errors import ConfigError, TopicError
+from trajectory_calibration.errors import ConfigError, counted, TopicError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.edges import covered, Edge, interpolated, matrices
@@ -280,8 +280,8 @@ def _compose(
             continue
         inside = covered(stamps_ns, own_ns)
         if not inside.all():
-            notes.append(f'{np.count_nonzero(~inside)} of {len(inside)} poses left out: '
-                         f'{edge} has no transform at their time')
+            notes.append(f'left out {np.count_nonzero(~inside)} of '
+                         f'{counted(len(inside), "pose")}: {edge} has no transform at their time')
         stamps_ns = stamps_ns[inside]
     result = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))
     for link in links:

@@ -205,9 +205,8 @@ def _require_overlap(
              f'{start_a * 1e-9:.3f} s')
     offset = (start_a - start_b) * 1e-9
     raise AssociationError(
-        f'no overlap in time: {order}; looks like an offset of {offset:.3f} s between the '
-        f'starts; if both recorded the same drive, set time_offset to about '
-        f'{offset + time_offset_ns * 1e-9:.3f}')
+        f'no overlap in time: {order}. If both are of one drive that they began together, set '
+        f'time_offset to about {offset + time_offset_ns * 1e-9:.3f}')
 
 
 def _require_pairs(
@@ -220,9 +219,9 @@ def _require_pairs(
             f'{MIN_PAIRS}; record longer, or give the whole file')
     if summary.pairs < MIN_PAIRS:
         raise AssociationError(
-            f'only {counted(summary.pairs, "pair")} of poses from {summary.poses_a} and '
-            f'{summary.poses_b}, needed at least {MIN_PAIRS}: poses of {b.sensor_frame} outside '
-            f'the time of {a.sensor_frame}: {summary.outside}; {why}')
+            f'only {counted(summary.pairs, "pose pair")} of {summary.poses_a} and '
+            f'{summary.poses_b} poses ({summary.outside} outside the common time), needed at '
+            f'least {MIN_PAIRS}; {why}')
 
 
 def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:

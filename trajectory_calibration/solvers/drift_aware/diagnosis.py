@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.diagnosis import Diagnosis, Jump
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
@@ -151,7 +152,7 @@ def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
         f'{jump.translation_m:.2g} m and {np.rad2deg(jump.rotation_rad):.2g} deg at '
         f'{(jump.stamp_ns - start_ns) * 1e-9:.1f} s' for jump in jumps[:_NAMED_JUMPS])
     return (Finding(
-        'pose-jumps', f'{len(jumps)} pose jumps excluded (relocalisation or loop closure?). '
-        f'Largest, by seconds from the start: {named}', {
+        'pose-jumps', f'{counted(len(jumps), "pose jump")} excluded (relocalisation or loop '
+        f'closure?). Largest, by seconds from the start: {named}', {
             'jumps': len(jumps), 'largest_m': max(jump.translation_m for jump in jumps),
             'stamps_ns': [jump.stamp_ns for jump in jumps]}),)

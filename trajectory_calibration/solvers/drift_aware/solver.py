@@ -21,7 +21,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.errors import MotionError, SolverError
+from trajectory_calibration.errors import counted, MotionError, SolverError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
 from trajectory_calibration.solvers.drift_aware.covariance import covariance
@@ -68,8 +68,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     """
     if len(pairs) < MIN_POSES:
         raise SolverError(
-            f'drift_aware: {len(pairs)} pairs of poses, needed at least {MIN_POSES} to tell noise '
-            'from motion; record longer or use dnl')
+            f'drift_aware: {counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
+            'tell noise from motion; record longer or use dnl')
     _require_motion(pairs)
     every = max(1, round(len(pairs) / _ENOUGH))
     kept = pairs.thinned(every)
@@ -145,5 +145,5 @@ def _require_motion(pairs: PosePairs) -> None:
         change = float(np.abs(poses - poses[0]).max())
         if change <= _NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
             raise MotionError(
-                f'the sensors did not turn: {name} stood still over {len(poses)} poses; drive '
-                'curves, and a ramp or a bank')
+                f'the sensors did not turn: {name} stood still over '
+                f'{counted(len(poses), "pose")}; drive curves, and a ramp or a bank')
