@@ -23,6 +23,19 @@ def test_every_code_of_a_finding_is_documented():
     assert page.endswith(module.table()), 'run: python docs/findings_table.py'
 
 
+def test_prose_has_at_most_99_columns():
+    # Tables cannot be wrapped, code blocks show real output, and benchmarks write their own pages.
+    pages = [*DOCS.parent.glob('*.md'), *DOCS.glob('*.md'), *DOCS.glob('tutorials/*.md'),
+             *DOCS.glob('drift_aware/*.md')]
+    assert len(pages) > 20
+    for page in pages:
+        is_code = False
+        for number, line in enumerate(page.read_text(encoding='utf-8').splitlines(), 1):
+            is_code ^= line.startswith('```')
+            if not is_code and not line.startswith(('|', '    ')):
+                assert len(line) <= 99, f'{page.name}, line {number}'
+
+
 def test_codes_are_kebab_case_and_levels_are_known():
     for code, (level, meaning) in CATALOGUE.items():
         assert code == code.lower()

@@ -129,10 +129,14 @@ def pose_rows(
 
     Parameters
     ----------
-    T : (4, 4), metres.
-    covariance : (6, 6) or None, order and side as in ``CalibrationResult``.
-    status : of each degree of freedom of the covariance.
-    config : its limits of weak and unobserved.
+    T : (4, 4)
+        Metres.
+    covariance : (6, 6) or None
+        Order and side as in ``CalibrationResult``.
+    status : mapping
+        Of each degree of freedom of the covariance.
+    config : CalibrationConfig
+        Its limits of weak and unobserved.
     T_true : (4, 4), optional
         Fills the errors.
 
