@@ -29,6 +29,35 @@ def test_a_file(tmp_path, capsys):
     assert words['motion'].startswith('sufficient: ')
 
 
+def test_the_order_of_the_quaternion_is_said_and_asked_about(tmp_path, capsys):
+    time = np.arange(300) * 0.1
+    yaw = 0.5 + 2 * np.sin(0.3 * time)
+    moved = 0.5 * np.column_stack([np.cos(yaw), np.sin(yaw), 0 * yaw])
+    poses = np.column_stack([
+        np.cumsum(moved, axis=0), 0 * yaw, 0 * yaw, np.sin(yaw / 2), np.cos(yaw / 2)])
+    path = tmp_path / 'a.txt'
+    for order, doubts in (([0, 1, 2, 3, 4, 5, 6], 0), ([0, 1, 2, 6, 3, 4, 5], 1)):
+        path.write_text('\n'.join(
+            ' '.join(map(repr, row)) for row in np.column_stack(
+                [1e9 + time, poses[:, order]]).tolist()), encoding='utf-8')
+        _, out, _ = run(capsys, 'inspect', path)
+        assert out.count('is w first in the quaternions?') == doubts
+        assert 't,x,y,z,qx,qy,qz,qw' in out
+        assert 'assumed: xyzw' in out
+    _, out, _ = run(capsys, 'inspect', path, '--quaternion-order', 'wxyz')
+    assert 'is w first' not in out
+    # A heading leaves nothing to assume.
+    path.write_text('# t x y z qw qx qy qz\n' + path.read_text(encoding='utf-8'), encoding='utf-8')
+    _, out, _ = run(capsys, 'inspect', path)
+    assert 't,x,y,z,qw,qx,qy,qz (its heading)' in out
+    assert 'assumed' not in out
+    # What is carried moves along all of its axes in either order.
+    stamps_ns, carried, _ = make_pair(200)
+    turn = np.column_stack([2 * np.sin(1e-9 * (stamps_ns % 10**11) * k) for k in (0.7, 1.1, 1.3)])
+    carried[:, :3, :3] = exp_so3(turn)
+    assert inspect_trajectory(Trajectory(stamps_ns, carried), 'x', 'file').warnings == ()
+
+
 def test_planar_motion_is_said_in_words(tmp_path, capsys):
     a, b, _ = write_pair(tmp_path, planar=True)
     status, out, _ = run(capsys, 'inspect', a)
@@ -77,12 +106,13 @@ def test_text_of_a_bag_names_what_cannot_serve_and_why(tmp_path, capsys):
     with np.errstate(invalid='ignore'):
         status, out, _ = run(capsys, 'inspect', tmp_path / 'bag')
     assert status == 0
-    assert '/good  (geometry_msgs/msg/PoseStamped)\n  warning: good: /good: 1 poses' in out
+    assert ('/good  (geometry_msgs/msg/PoseStamped)\n'
+            '  warning: good: /good: dropped 1 pose: not finite') in out
     assert 'good in odom' in out
     assert '3 of 4 messages' in out
     cannot = out[out.index('Topics that cannot serve'):]
-    assert '/once   /once: 1 of 1 messages give a pose, needed at least 2' in cannot
-    assert '/lost   /lost: 0 of 3 messages give a pose' in cannot
+    assert '/once   /once: poses in 1 of 1 message, needed at least 2' in cannot
+    assert '/lost   /lost: poses in 0 of 3 messages' in cannot
     assert '/words  std_msgs/msg/String, 1 messages' in cannot
 
 

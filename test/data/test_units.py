@@ -49,7 +49,8 @@ def test_times_in_another_unit(factor, words):
 def test_steps_that_differ_as_units_do_where_no_time_is_common():
     a, b = slower(RUN.a, 1), slower(RUN.b, 1)
     late = replace(a, stamps_ns=10**18 + a.stamps_ns // 1000)
-    with pytest.raises(AssociationError, match=r'are the times of .* in milliseconds\? .*by 1000;'):
+    question = r'are the times of .* in milliseconds\? .*by 1000;'
+    with pytest.raises(AssociationError, match=question):
         calibrate(late, b)
     assert doubts_of_both(a, replace(b, stamps_ns=b.stamps_ns + 10**18)) == ()
     assert doubts_of_both(a, replace(b, stamps_ns=b.stamps_ns // 1000)) == ()

@@ -60,7 +60,7 @@ def test_fractions_without_leading_zeros(shared_data, name):
 
 
 @pytest.mark.parametrize(('name', 'message'), [
-    ('seven_digits.txt', r'all 1671 poses have the same time|rounded to .* s \(7 digits\)'),
+    ('seven_digits.txt', r'all 1,671 poses have the same time|rounded to .* s \(7 digits\)'),
     ('ten_digits.txt', r'share their time with another: .* rounded to 1 s \(10 digits\)')])
 def test_times_that_were_rounded(shared_data, name, message):
     with pytest.raises(CalibrationError, match=message):

@@ -227,6 +227,9 @@ def test_g2o_colmap_nerfstudio_and_numpy(tmp_path):
 
     np.save(tmp_path / 'poses.npy', T)
     assert _is_right(FileSource(tmp_path / 'poses.npy', times=times).load())
+    # An array is one whatever its name.
+    (tmp_path / 'poses.npy').rename(tmp_path / 'poses.dat')
+    assert _is_right(FileSource(tmp_path / 'poses.dat', times=times).load())
 
 
 @pytest.mark.parametrize(('name', 'content', 'message'), [

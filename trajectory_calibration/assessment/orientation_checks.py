@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import MotionError, rounded
 from trajectory_calibration.geometry import se3
@@ -35,6 +36,10 @@ _HALF_SPAN = 2
 _FOLLOWED_S = 0.2
 _MOTIONS = 400
 _ROUNDS = 4
+# Seconds over which a vehicle moves along an axis of its own, and the share of its motion that is
+# along one axis where the quaternions are in that order, and where they are not.
+_AHEAD_S = 0.5
+_AHEAD, _ASKEW = 0.97, 0.85
 # Metres that are rounding.
 _ROUNDING = 1e-12
 # Share of the steps that may be jumps.
@@ -121,6 +126,36 @@ def _follows(
     # Errors of positions reach over the steps that they have in common.
     std = np.sqrt(np.diag(P) * 2 * (before + after) * float(np.mean(rest**2)))
     return bool(abs(lever) < _NO_LEVER + _SIGMA * std[1] < 4 * _NO_LEVER)
+
+
+def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
+    """Ask whether w comes first, where the motion along an axis of the sensor says so.
+
+    Wheels move a vehicle along one of its axes. In the wrong order its poses move along all of
+    them. What flies, or is carried, does so in either order, and is not asked about.
+    """
+    R = trajectory.rotations
+    every = max(1, round(_AHEAD_S * 1e9 / trajectory.usual_step_ns))
+    step = trajectory.positions[every:] - trajectory.positions[:-every]
+    at = slice(every // 2, every // 2 + len(step))
+    if len(step) < _LEAST_STEPS or not step.any():
+        return ()
+    w_first = se3.rotation_to_quaternion(R[at])[:, [1, 2, 3, 0]]
+    ahead, other = (_share_along_one_axis(rotations, step) for rotations in (
+        R[at], se3.quaternion_to_rotation(w_first)))
+    if ahead > _ASKEW or other < _AHEAD:
+        return ()
+    return (Finding(
+        'quaternion-order', f'is w first in the quaternions? Then it moves along one of its axes '
+        f'({other:.0%} of the way; as read {ahead:.0%}), as a vehicle: --quaternion-order wxyz',
+        {'share_as_read': ahead, 'share_w_first': other}),)
+
+
+def _share_along_one_axis(rotations: FloatArray, steps: FloatArray) -> float:
+    """Return the share of (N, 3) steps in the world along one axis of the body."""
+    own = np.einsum('kji,kj->ki', rotations, steps)
+    sizes = np.linalg.eigvalsh(own.T @ own)
+    return float(np.sqrt(sizes[-1] / sizes.sum()))
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

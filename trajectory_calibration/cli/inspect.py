@@ -16,7 +16,7 @@ from trajectory_calibration.errors import SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.sources.files import is_bag
+from trajectory_calibration.sources.files import FileSource, is_bag
 from trajectory_calibration.sources.inputs import InputOptions
 from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
 
@@ -70,9 +70,13 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with running_clock('reading'):
         trajectory = load_one(str(path), path.name, options)
-    # No format of files names its frames.
-    found = {**inspect_trajectory(trajectory, str(path), 'file').to_dict(),
-             'sensor_frame': None, 'world_frame': None}
+        read_as = FileSource(path, **options.of_files()).describe()
+    found = inspect_trajectory(trajectory, str(path), 'file').to_dict()
+    # No format of files names its frames, and the path stands above the findings.
+    found.update(
+        sensor_frame=None, world_frame=None, read_as=read_as,
+        warnings=[text.removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
+                  for text in found['warnings']])
     return {'path': str(path), 'notes': [], 'trajectories': [found], 'other': []}
 
 

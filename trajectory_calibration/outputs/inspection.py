@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration.assessment.observability import axis_name, translation_gain
+from trajectory_calibration.assessment.orientation_checks import order_doubts
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
@@ -97,7 +98,8 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspecti
         motion=motion,
         advice=advice,
         warnings=tuple(map(str, (
-            *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory)))),
+            *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory),
+            *order_doubts(trajectory)))),
     )
 
 

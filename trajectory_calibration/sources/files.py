@@ -36,6 +36,7 @@ from trajectory_calibration.sources.layouts import (
 )
 from trajectory_calibration.sources.structured import (
     ArrayTable,
+    is_array,
     RawPoses,
     structure_of,
     STRUCTURED,
@@ -122,10 +123,15 @@ class FileSource:
         except TrajectoryError as error:
             raise SourceError(f'{name}: {error}') from error
 
+    def describe(self) -> str:
+        """Return how the file is read: its columns, or its format."""
+        raw = self._read()
+        return raw.layout or raw.kind
+
     def _read(self) -> RawPoses:
         """Return what the file holds."""
         path = Path(self.path)
-        kind = self.file_format or ('npy' if path.suffix == '.npy' else None)
+        kind = self.file_format or ('npy' if is_array(path) else None)
         if kind == 'npy':
             return self._table(ArrayTable.load(path))
         data = read_bytes(path)
@@ -144,7 +150,8 @@ class FileSource:
                 f'{max(layout.pose_columns) + 1}')
         findings: list[Finding] = []
         raw = RawPoses(
-            np.zeros((0, 7)), findings=findings, kind=counted(table.width, 'column'))
+            np.zeros((0, 7)), findings=findings, kind=counted(table.width, 'column'),
+            layout=layout.describe())
         unit = self.time_unit or layout.unit or 's'
         if layout.time is not None and not (self.time_unit or layout.unit):
             unit = unit_of(table.sample()[:, layout.time])
@@ -210,9 +217,9 @@ class FileSource:
             k = int(np.argmax(wrong))
             raise SourceError(
                 f'{self.path}, line {table.line_numbers[k]}: the norm of the quaternion is '
-                f'{norm[k]:.6g}, needed 1; read from columns {min(layout.quaternion) + 1} to '
-                f'{max(layout.quaternion) + 1} of {table.width} ({layout.source}). If these are '
-                'wrong: --columns')
+                f'{norm[k]:.6g}, needed 1; it is numbers {min(layout.quaternion) + 1} to '
+                f'{max(layout.quaternion) + 1} of {table.width} columns ({layout.source}). If it '
+                'is not: --columns')
         first = np.abs(raw.poses[~lost][:1, 3:])
         if layout.source in ('TUM', 'its numbers') and np.array_equal(first, [[1, 0, 0, 0]]) and (
                 self.quaternion_order is None):
@@ -272,9 +279,8 @@ class FileSource:
                 found.text.removeprefix(f'{self._name}: ') for found in raw.findings)
             because = f' ({reasons})' if reasons else ''
             raise SourceError(
-                f'{self.path}: {np.count_nonzero(keep)} of {counted(len(keep), "row")} give a '
-                f'pose, needed at least 2{because}; record while the sensor moves and its SLAM '
-                'tracks')
+                f'{self.path}: poses in {np.count_nonzero(keep)} of {counted(len(keep), "row")}, '
+                f'needed at least 2{because}; record while the sensor moves and its SLAM tracks')
         return keep
 
     @property

@@ -63,6 +63,14 @@ class Layout:
         """All columns of the pose."""
         return [*self.position, *self.quaternion, *self.rotation, *self.angles]
 
+    def describe(self) -> str:
+        """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and how another order is read where it matters."""
+        text = f'{_names(self)} ({self.source})'
+        if self.source in ('TUM', 'its numbers') and self.quaternion:
+            order = 'wxyz' if self.quaternion[3] < self.quaternion[0] else 'xyzw'
+            text += f'; assumed: {order}. Another order: --quaternion-order'
+        return text
+
     def ordered(self, order: str | None) -> Layout:
         """Return the layout with the quaternion in another order than it says."""
         if order is None or not self.quaternion:

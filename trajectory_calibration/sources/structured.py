@@ -36,6 +36,7 @@ class RawPoses:
     numbers : (N,) numbers of frames, None where the file has none.
     findings : what was repaired.
     kind : of the file, in words.
+    layout : of its columns, in words; empty where the format says it.
 
     """
 
@@ -44,6 +45,7 @@ class RawPoses:
     numbers: NDArray[np.int64] | None = None
     findings: list[Finding] = field(default_factory=list)
     kind: str = ''
+    layout: str = ''
 
 
 class ArrayTable:
@@ -96,6 +98,16 @@ class ArrayTable:
 
     def drop_last(self) -> None:
         """Do nothing: no row of an array is cut off."""
+
+
+def is_array(path: Path) -> bool:
+    """Tell whether a file is an array of NumPy, whatever its name."""
+    try:
+        with path.open('rb') as file:
+            return path.suffix == '.npy' or file.read(6) == b'\x93NUMPY'
+    except OSError:
+        # Reading it says what is wrong.
+        return False
 
 
 def structure_of(path: Path, beginning: bytes) -> str | None:

@@ -89,8 +89,9 @@ class TopicTrack:
         if np.count_nonzero(keep) < 2:
             reasons = f' ({"; ".join(texts(notes))})' if notes else ''
             raise SourceError(
-                f'{self.topic}: {np.count_nonzero(keep)} of {counted(self.messages, "message")} '
-                f'give a pose, needed at least 2{reasons}; record while the sensor moves')
+                f'{self.topic}: poses in {np.count_nonzero(keep)} of '
+                f'{counted(self.messages, "message")}, needed at least 2{reasons}; record while '
+                'the sensor moves')
         require_own_stamps(
             stamps_ns[keep], self.poses[keep], self.topic,
             'use a topic whose messages carry the time of each pose')
