@@ -77,7 +77,7 @@ def calibrate(
     # A camera without scale may be as fast as it likes: the unit of b is found.
     doubts = (*time_doubts(trajectory_a), *time_doubts(trajectory_b),
               *position_doubts(trajectory_a))
-    matched = (*association_findings(pairs.summary, trajectory_a, trajectory_b),
+    matched = (*association_findings(pairs, trajectory_a, trajectory_b),
                *clock.findings(config.time_offset, trajectory_b.sensor_frame,
                                trajectory_b.duration_s))
     with _recalled((*doubts, *(matched if _matched_little(pairs.summary) else ()))):

@@ -185,4 +185,8 @@ def test_no_step_of_one_vehicle_parts(name, seeds):
 def test_one_sensor_given_twice_is_said():
     a = simulate(DRIVE, 0).a
     again = replace(a, sensor_frame='camera')
-    assert any(finding.code == 'poses-identical' for finding in calibrate(a, again).findings)
+    part = Trajectory(a.stamps_ns[50:500:2], np.round(a.poses[50:500:2], 6), 'map', 'camera')
+    for other in (again, part):
+        assert any(item.code == 'poses-identical' for item in calibrate(a, other).findings)
+    b = simulate(DRIVE, 0).b
+    assert not any(item.code == 'poses-identical' for item in calibrate(a, b).findings)

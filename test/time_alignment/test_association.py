@@ -220,7 +220,7 @@ def test_no_overlap_names_the_ends_and_the_offset():
 def test_too_few_pairs_say_where_the_others_went(method):
     a = still(stamps(3, step_ns=10_000 * MS))
     b = still(stamps(30, step_ns=700 * MS) + 5 * MS)
-    with pytest.raises(AssociationError, match='pairs of poses from 3 and 30, needed at least 3'):
+    with pytest.raises(AssociationError, match=r'pose pairs of 3 and 30 poses .*at least 3'):
         associate(a, b, method=method, max_difference_ns=MS)
 
 

@@ -61,8 +61,8 @@ def repair_unpadded(
     count = int(np.count_nonzero(repaired != stamps_ns))
     return repaired, [Finding(
         'stamps-unpadded',
-        f'{name}: {count} of {len(stamps_ns)} times have fractions without leading zeros '
-        '(sec.nsec): repaired', {'stamps': count})]
+        f'{name}: {count:,} of {counted(len(stamps_ns), "time")} have fractions without leading '
+        'zeros (sec.nsec): repaired', {'stamps': count})]
 
 
 def _is_better(new: Stamps, old: Stamps) -> bool:
@@ -99,7 +99,7 @@ def require_own_stamps(
     step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
     digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
     raise SourceError(
-        f'{name}: {found} of {counted(count, "pose")} share their time with another: the times '
+        f'{name}: {found:,} of {counted(count, "pose")} share their time with another: the times '
         f'are rounded to {step:.3g} s ({digits} digits); {advice}')
 
 

@@ -34,6 +34,9 @@ _NEAR_SHARE = 0.5
 # Beyond this share of poses without a partner, the result says so: too much was not used.
 UNPAIRED_SHARE = 0.1
 
+# Poses of two sensors, metres and cosines, are never as equal as this: files round to microns.
+_SAME = 1e-5
+
 # 'auto' interpolates the other one where the steps of a are this many times those of b: chords
 # between sparse poses are shorter than the way, which would pass for an error of scale.
 _SPARSER = 1.5
@@ -263,10 +266,10 @@ def _summarise(
 
 
 def association_findings(
-    summary: AssociationSummary, a: Trajectory, b: Trajectory,
+    pairs: PosePairs, a: Trajectory, b: Trajectory,
 ) -> tuple[Finding, ...]:
     """Name what the association left unused, where it is much, and sensors that are one."""
-    found = []
+    found, summary = [], pairs.summary
     one, other = (b, a) if summary.stamps_of == 'b' else (a, b)
     for code, count, where in (
             ('association-gaps', summary.in_gaps, f'fall in gaps of {other.sensor_frame}'),
@@ -277,7 +280,8 @@ def association_findings(
             found.append(Finding(
                 code, f'{share:.0%} of the poses of {one.sensor_frame} {where}: unused',
                 {'share': share}))
-    if np.array_equal(a.poses, b.poses):
+    # In another format or at another rate the same poses differ by rounding.
+    if np.median(np.abs(pairs.poses_a - pairs.poses_b).max(axis=(1, 2))) < _SAME:
         found.append(Finding(
             'poses-identical', f'{a.sensor_frame} and {b.sensor_frame} report identical poses: '
             'the answer is the pose of a sensor in itself. Check that two sensors were given'))
