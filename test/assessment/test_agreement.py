@@ -102,7 +102,7 @@ def test_two_vehicles_that_leave_a_solver_without_an_answer(monkeypatch):
 
 def test_too_few_poses_are_what_is_wrong_whatever_they_turned_about():
     run = simulate(with_noise(Scenario(0.8, Unicycle(ground=flat)), Noise(), Noise()), 3)
-    with pytest.raises(SolverError, match='9 pairs of poses, needed at least 10'):
+    with pytest.raises(SolverError, match='9 pose pairs, needed at least 10'):
         calibrate(run.a, run.b)
 
 

@@ -283,7 +283,7 @@ def test_exactly_planar_motion_says_that_nothing_is_known():
 
 def test_too_few_poses_are_refused():
     pairs, _ = simulated(11, poses=8)
-    with pytest.raises(SolverError, match='8 pairs of poses, needed at least 10'):
+    with pytest.raises(SolverError, match='8 pose pairs, needed at least 10'):
         solve_pairs(pairs, AUTO)
 
 

@@ -308,7 +308,7 @@ def _why_open(axis: FloatArray, single: FloatArray | None, turned: float) -> str
         return 'the vehicle hardly turned. Drive curves, and a ramp or a bank'
     if single is not None and abs(single @ axis) > _NEAR_AXIS:
         return f'the vehicle turned about {axis_name(single)} only. Drive a ramp or a bank'
-    return 'noise too large for the motion. Turn more; check units, clocks and jumps'
+    return 'noise too large for the motion. Turn more; check the units'
 
 
 def _finding(status: str, why: str, items: Sequence[WeakAxis], frame: str) -> Finding:
@@ -342,7 +342,7 @@ def _priors(items: Sequence[WeakAxis]) -> str:
     """Return the options that give what was measured by hand."""
     kinds = {item.kind for item in items}
     if len(kinds) > 1:
-        return '--prior-translation and --prior-rotation'
+        return '--prior-translation, --prior-rotation'
     if kinds == {'rotation'}:
         return '--prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
     axes = [item.axis for item in items]
