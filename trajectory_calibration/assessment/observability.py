@@ -305,10 +305,10 @@ def _describe(
 
 def _why_open(axis: FloatArray, single: FloatArray | None, turned: float) -> str:
     if turned < _HARDLY:
-        return 'the vehicle hardly turned. Drive curves, and a ramp or a bank'
+        return 'hardly turned. Drive curves, and a ramp or a bank'
     if single is not None and abs(single @ axis) > _NEAR_AXIS:
-        return f'the vehicle turned about {axis_name(single)} only. Drive a ramp or a bank'
-    return 'noise too large for the motion. Turn more; check the units'
+        return f'turned about {axis_name(single)} only. Drive a ramp or a bank'
+    return 'noise too large for the motion. Turn more'
 
 
 def _finding(status: str, why: str, items: Sequence[WeakAxis], frame: str) -> Finding:
