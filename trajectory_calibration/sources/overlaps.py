@@ -23,9 +23,7 @@ _MOSTLY = 0.5
 def without_repeats(parts: Sequence[tuple[str, TopicTrack]]) -> list[TopicTrack]:
     """Return what each bag holds of one topic, without the messages that another one holds, too.
 
-    Parameters
-    ----------
-    parts : what stands in one file each, with the name of its bag.
+    ``parts`` are what stands in one file each, with the name of its bag.
 
     Raises
     ------
