@@ -113,7 +113,7 @@ def test_text_of_a_bag_names_what_cannot_serve_and_why(tmp_path, capsys):
     cannot = out[out.index('Topics that cannot serve'):]
     assert '/once   /once: poses in 1 of 1 message, needed at least 2' in cannot
     assert '/lost   /lost: poses in 0 of 3 messages' in cannot
-    assert '/words  std_msgs/msg/String, 1 messages' in cannot
+    assert '/words  std_msgs/msg/String, 1 message\n' in cannot
 
 
 def test_a_damaged_bag_is_inspected_with_a_warning(tmp_path, capsys):

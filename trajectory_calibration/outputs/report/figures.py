@@ -161,7 +161,7 @@ class Scene(Canvas):
 
     def axes(self, origin: FloatArray, axes: FloatArray, arm: float, *, lettered: bool = False,
              ) -> None:
-        """Draw the three axes (2, 3) of a sensor; one towards the reader is left out."""
+        """Draw the three axes of a sensor, (2, 3) each; one towards the reader is left out."""
         start = self.place(origin)
         for k, letter in enumerate('xyz'):
             end = self.place(origin + arm * axes[:, k])
