@@ -61,7 +61,7 @@ def test_interrupt_is_quiet(tmp_path):
         # Opening for writing returns when the process has opened the other end.
         with fifo.open('wb'):
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=30)
+            out, err = process.communicate(timeout=120)
         assert (process.returncode, out, err) == (130, b'', b'')
 
 
@@ -71,7 +71,7 @@ def test_a_reader_that_leaves_is_no_error(tmp_path):
             [*COMMAND, 'inspect', a], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         err = process.stderr.read()
-        assert (process.wait(timeout=30), err) == (0, b'')
+        assert (process.wait(timeout=120), err) == (0, b'')
 
 
 def _shell(command, **environment):

@@ -91,7 +91,7 @@ def test_what_is_no_regular_file_is_no_result(tmp_path, result):
     code = ('import sys\nfrom trajectory_calibration.online.store import ResultStore\n'
             'print(ResultStore(sys.argv[1], "/node").latest()[0])')
     found = subprocess.run(
-        [sys.executable, '-c', code, str(tmp_path)], capture_output=True, text=True, timeout=30,
+        [sys.executable, '-c', code, str(tmp_path)], capture_output=True, text=True, timeout=120,
         check=True)
     assert found.stdout == f'{path}\n'
     # Nor is it overwritten.
@@ -219,7 +219,7 @@ def test_a_kill_while_saving_leaves_every_earlier_result_whole(tmp_path, result)
     for _ in range(5):
         before = len(list(folder.glob('node_*.yaml'))) if folder.exists() else 0
         process = subprocess.Popen([sys.executable, '-c', code, str(seed), str(folder)])
-        deadline = time.monotonic() + 30
+        deadline = time.monotonic() + 120
         while time.monotonic() < deadline and (
                 not folder.exists() or len(list(folder.glob('node_*.yaml'))) <= before):
             time.sleep(0.005)
