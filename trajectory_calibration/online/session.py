@@ -118,9 +118,9 @@ def name_of(topic: str) -> str:
 
 
 def _way_out(result: CalibrationResult) -> str:
-    """Return what the findings advise for open directions, in words of the node."""
+    """Return why directions are open and what the findings advise, in words of the node."""
     why = re.sub(r'--([a-z-]+)(=?)',
                  lambda option: option[1].replace('-', '_') + (option[2] and ':='),
-                 '; '.join(found.text for found in result.observability.findings
+                 '; '.join(found.text.partition(': ')[2] for found in result.observability.findings
                            if found.code == 'direction-unobserved'))
     return why[:1].upper() + why[1:]
