@@ -17,8 +17,9 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows
+from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import report_data, ReportData
-from trajectory_calibration.outputs.report.drawings import AXES, unit_of
+from trajectory_calibration.outputs.report.figures import Plot
 from trajectory_calibration.result import CalibrationResult
 
 if TYPE_CHECKING:
@@ -26,11 +27,15 @@ if TYPE_CHECKING:
 
 FORMATS = ('png', 'svg', 'pdf')
 
-_A, _B, _JUMP, _SOFT = '#1769aa', '#c4570a', '#c2185b', '#7a828a'
-_AXIS = ('#c0392b', '#2e8b57', '#2c6fbb')
-# Residuals that a page can show.
-_POINTS = 1000
-_LINES = ('-', '--', ':')
+_A, _B, _SOFT = '#1769aa', '#c4570a', '#7a828a'
+# Colour, width and dashes of the classes of the style sheet that are no plain line of a.
+_STYLES = {
+    'line-b wide': (_B, 2.4, '-'), 'line-thin': (_A, 0.6, '-'), 'line-x': ('#c0392b', 1.2, '-'),
+    'line-y': ('#2e8b57', 1.2, '--'), 'line-z': ('#2c6fbb', 1.2, ':'),
+    'jump': ('#c2185b', 1.0, '-'), 'need': (_SOFT, 0.8, '--'), 'zero': (_SOFT, 0.8, '-'),
+    'far': ('#b3261e', 1.0, '-'), 'fill-weak': ('#96600a', 1.0, '-')}
+_LABELS = {f'line-{axis}': axis for axis in 'xyz'}
+_ANCHORS = {'start': 'left', 'middle': 'center', 'end': 'right'}
 _STATUS = {'ok': '#1b7a48', 'weak': '#96600a', 'unknown': '#b3261e', 'prior': '#6a4bb4'}
 
 
@@ -122,79 +127,64 @@ def _deviations(result: CalibrationResult) -> Figure:
 
 def _overview(data: ReportData) -> Figure:
     figure = _figure(11, 6.4, _title(data.result))
-    grid = figure.add_gridspec(2, 3)
-    tracks, clocks = data.tracks, data.clocks
-    axes: Any = figure.add_subplot(grid[0, 0], projection='3d')
-    for poses, colour, name in (
-            (tracks.poses_c, _B, data.result.frame_b), (tracks.pairs.poses_a, _A,
-                                                        data.result.frame_a)):
+    axes: Any = figure.add_subplot(2, 3, 1, projection='3d')
+    for poses, colour, name in ((data.tracks.poses_c, _B, data.result.frame_b),
+                                (data.tracks.pairs.poses_a, _A, data.result.frame_a)):
         axes.plot(*poses[:, :3, 3].T, color=colour, lw=1.0, label=name)
     axes.set_aspect('equal', adjustable='datalim')
     axes.set_title('both tracks, m', fontsize=9, loc='left')
     axes.tick_params(labelsize=7)
     axes.legend(fontsize=8, frameon=False)
-    axes = figure.add_subplot(grid[0, 1])
-    axes.plot(tracks.seconds, tracks.distance_m, color=_A, lw=1)
-    axes.plot(tracks.seconds[tracks.jumps], tracks.distance_m[tracks.jumps], '.', color=_JUMP)
-    _plain(axes, 'distance between the tracks', 'time, s', 'm')
-    axes = figure.add_subplot(grid[0, 2])
-    axes.bar(range(3), data.result.observability.excitation_deg, color=_A, width=0.5)
-    if data.need_deg is not None:
-        axes.axhline(data.need_deg, color=_SOFT, ls='--', lw=1)
-    axes.set_yscale('log')
-    axes.set_xticks(range(3), ['about x', 'about y', 'about z'])
-    _plain(axes, 'rotation by axis; dashed: need', '', 'deg per motion, rms')
-    axes = figure.add_subplot(grid[1, 0])
-    for k in range(3):
-        axes.plot(data.parts.growth_s, data.parts.growth_std[:, k], _LINES[k], color=_AXIS[k],
-                  label='xyz'[k])
-    axes.set_yscale('log')
-    axes.axhline(data.result.config.weak_translation, color=_SOFT, ls='--', lw=1)
-    axes.legend(fontsize=8, frameon=False)
-    _plain(axes, 'translation against driving time', 'driven, s', 'standard deviation, m')
-    axes = figure.add_subplot(grid[1, 1])
-    axes.plot(clocks.seconds, clocks.rate_b, color=_B, lw=2.4, alpha=0.6)
-    axes.plot(clocks.seconds, clocks.rate_a, color=_A, lw=1)
-    _plain(axes, 'angular rates', 'time, s', 'deg/s')
-    axes = figure.add_subplot(grid[1, 2])
-    axes.plot(clocks.offsets_s, clocks.correlation, color=_A)
-    axes.axvline(0, color=_SOFT, ls='--', lw=1)
-    _plain(axes, 'agreement by clock offset', 'further clock offset, s', 'correlation')
+    plots = [draw.distance_over_time(data), draw.rotation_by_axis(data),
+             draw.deviation_over_time(data, rotation=False), draw.rates(data.clocks)]
+    if len(data.clocks.offsets_s):
+        plots.append(draw.offset_curve(data.clocks))
+    for k, item in enumerate(plots, 2):
+        _copy(item, figure.add_subplot(2, 3, k))
     return figure
 
 
-def _parts(data: ReportData) -> Figure:
-    figure = _figure(10, 5, f'{_title(data.result)}: parts of the data, minus the answer')
-    for k in range(6):
-        axes = figure.add_subplot(2, 3, k + 1)
-        found = data.of_parts(k)
-        place = np.arange(len(found.names))
-        axes.errorbar(place[found.known], found.values[found.known], 2 * found.std[found.known],
-                      fmt='o', ms=3, color=_A, capsize=2, lw=1)
-        axes.axhline(0, color=_SOFT, lw=0.8)
-        if not found.is_open:
-            axes.axhspan(-2 * found.own, 2 * found.own, color=_A, alpha=0.12, lw=0)
-        axes.set_xticks(place, [name if name.startswith('Q') else f'{name} s'
-                                for name in found.names], rotation=45)
-        _plain(axes, AXES[k] + (': unknown' if found.is_open else ''), '', unit_of(k))
-    return figure
+def _copy(plot: Plot, axes: Any) -> None:
+    """Draw a plot of the report on Matplotlib axes, which keep its numbers."""
+    if plot.log_y:
+        axes.set_yscale('log')
+    axes.set(xlim=plot.x, ylim=plot.y)
+    for given, put in ((plot.x_ticks, axes.set_xticks), (plot.y_ticks, axes.set_yticks)):
+        if given is not None:
+            put([value for value, _ in given], [words for _, words in given])
+    _plain(axes, plot.name, plot.x_label, plot.y_label)
+    for mark in plot.marks:
+        colour, width, dashes = _STYLES.get(mark.style.removesuffix(' bar'), (_A, 1.0, '-'))
+        if mark.kind == 'words':
+            x, y = mark.shift
+            axes.annotate(mark.words, (mark.x[0], mark.y[0]), (x, -y), fontsize=7,
+                          textcoords='offset points', ha=_ANCHORS[mark.style])
+        elif mark.kind == 'area':
+            axes.fill(mark.x, mark.y, color=colour, lw=0,
+                      alpha=0.12 if mark.style.startswith('band') else 0.8)
+        elif mark.kind == 'dots':
+            axes.plot(mark.x, mark.y, 'o', ms=mark.size, color=colour)
+        else:
+            axes.plot(mark.x, mark.y, color=colour, lw=width, ls=dashes,
+                      label=_LABELS.get(mark.style))
+    if any(mark.style in _LABELS for mark in plot.marks):
+        axes.legend(fontsize=8, frameon=False)
 
 
-def _residuals(data: ReportData) -> Figure:
-    figure = _figure(10, 5, f'{_title(data.result)}: residuals')
-    found = data.residuals
-    every = slice(None, None, max(1, len(found.seconds) // _POINTS))
-    seconds, sigma = found.seconds[every], found.sigma[every]
-    values = np.where(found.excluded[:, None], np.nan, found.values)[every]
-    for k in range(6):
-        axes = figure.add_subplot(2, 3, k + 1)
-        axes.fill_between(seconds, -3 * sigma[:, k], 3 * sigma[:, k], color=_A, alpha=0.12, lw=0)
-        axes.plot(seconds, values[:, k], color=_A, lw=0.6)
-        _plain(axes, AXES[k], 'time, s', unit_of(k))
-    return figure
+def _of_each(
+    plot_of: Callable[[ReportData, int], Plot], title: str,
+) -> Callable[[ReportData], Figure]:
+    """Return the function that draws a plot of each of the six numbers."""
+    def drawn(data: ReportData) -> Figure:
+        figure = _figure(10, 5, f'{_title(data.result)}: {title}')
+        for k in range(6):
+            _copy(plot_of(data, k), figure.add_subplot(2, 3, k + 1))
+        return figure
+    return drawn
 
 
 # Name of the file -> function of the data.
 _FIGURES: dict[str, Callable[[ReportData], Figure]] = {
-    'overview': _overview, 'deviations': lambda data: _deviations(data.result), 'parts': _parts,
-    'residuals': _residuals}
+    'overview': _overview, 'deviations': lambda data: _deviations(data.result),
+    'parts': _of_each(draw.part_plot, 'parts of the data, minus the answer'),
+    'residuals': _of_each(draw.residual_over_time, 'residuals')}

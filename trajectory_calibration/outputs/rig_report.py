@@ -138,7 +138,7 @@ def _view(rig: RigResult, first: int, second: int) -> str:
                    'end' if right else 'start')
     scene.legend('xyz'[first], 'xyz'[second])
     return figure(
-        f'Sensors in {rig.base}, {names}', scene.svg(),
+        f'Sensors in {rig.base}, {names}', scene,
         'Lines are the axes x (red), y (green), z (blue) of each sensor.',
         'small ellipses, sensors where they are mounted',
         'a sensor far from where it is, or unknown')
@@ -165,7 +165,7 @@ def _tree(rig: RigResult) -> str:
         canvas.text(x, y - 11, f'{name}{note}', 'middle')
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
     return figure(
-        'Pairs that hold the rig together', canvas.svg(),
+        'Pairs that hold the rig together', canvas,
         f'{used} of {counted(len(rig.pairs), "pair")} have part in the answer.',
         'every sensor in two pairs or more, solid lines',
         'dashed lines: no answer or not used; a sensor that hangs on one line')
@@ -203,7 +203,7 @@ def _matrix(rig: RigResult) -> str:
     reading = (f'Largest: {max(checked):.1f}; x: no answer.' if checked else
                'No pair is checked by another one.')
     return figure(
-        'Chi-squared of each pair, per degree of freedom', canvas.svg(), reading,
+        'Chi-squared of each pair, per degree of freedom', canvas, reading,
         'about 1 and below', 'a red row and column of one sensor: it contradicts the rest')
 
 
@@ -244,7 +244,7 @@ def _noise(rig: RigResult) -> str:
             canvas.box(left, y, max(width, 1), 14, css=f'fill:{_colour(rig, name)}')
             canvas.text(left + width + 6, y + 11, f'{value:.2g}')
         found.append(figure(
-            f'{title}, {unit}', canvas.svg(), f'Largest: {worst}, {values[worst]:.2g} {unit}.',
+            f'{title}, {unit}', canvas, f'Largest: {worst}, {values[worst]:.2g} {unit}.',
             'what the sensor is known for', 'one sensor many times above its kind'))
     return ''.join(found)
 
@@ -291,7 +291,7 @@ def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> str:
                     f'{escape(name)}</span>')
     scene.scale_bar()
     return figure(
-        'All tracks from above', scene.svg(),
+        'All tracks from above', scene,
         f'{len(names)} tracks, laid on that of {names[0]}.', 'one line of many colours',
         'a track that leaves the others', wide=True,
         legend=f'<p class="legend">{"".join(keys)}</p>')
@@ -309,7 +309,7 @@ def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
                     name=f'{name} from {names[0]}', x_label='s', y_label='m')
         plot.line(seconds[at], distance, 'line-b')
         found.append(figure(
-            f'{name} from {names[0]}', plot.svg(),
+            f'{name} from {names[0]}', plot,
             f'Median {np.nanmedian(distance):.3g} m, largest {np.nanmax(distance):.3g} m.',
             'a slow wave: drift', 'steps: jumps of a track, or a mount that moved'))
     return ''.join(found)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the report, each drawn from ``ReportData``."""
+"""The plots of the report, each drawn from ``ReportData``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.clocks import Clocks
 from trajectory_calibration.outputs.report.data import PathScale, ReportData
-from trajectory_calibration.outputs.report.figures import label, limits, Plot
+from trajectory_calibration.outputs.report.figures import label, limits, Plot, WIDTH
 
 AXES = DEGREES_OF_FREEDOM
 # A share of the range that the largest values may be cut off at.
@@ -24,12 +24,12 @@ def unit_of(k: int) -> str:
     return 'm' if k < 3 else 'deg'
 
 
-def distance_over_time(data: ReportData) -> str:
+def distance_over_time(data: ReportData) -> Plot:
     """Draw the distance between the tracks, with jumps."""
     return _apart_over_time(data, data.tracks.distance_m, 'distance between the tracks', 'm')
 
 
-def distance_over_path(data: ReportData) -> str:
+def distance_over_path(data: ReportData) -> Plot:
     """Draw the distance between the tracks against the distance driven."""
     tracks = data.tracks
     high = max(float(tracks.distance_m.max()), 1e-6) * 1.08
@@ -38,21 +38,21 @@ def distance_over_path(data: ReportData) -> str:
     plot = Plot((0.0, max(end * unit, 1e-6)), (0.0, high), name='distance over the path',
                 x_label=f'driven, {name}', y_label='m')
     plot.line(tracks.path_m * unit, tracks.distance_m, 'line-a')
-    return plot.svg()
+    return plot
 
 
-def angle_over_time(data: ReportData) -> str:
+def angle_over_time(data: ReportData) -> Plot:
     """Draw the difference of orientation between the tracks, with jumps."""
     return _apart_over_time(data, data.tracks.angle_deg, 'difference of orientation', 'deg')
 
 
-def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> str:
+def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> Plot:
     seconds = data.tracks.seconds
     high = max(float(apart.max()), 1e-6) * 1.08
     plot = Plot((0.0, float(seconds[-1])), (0.0, high), name=name, x_label='time, s', y_label=unit)
     plot.line(seconds, apart, 'line-a')
     _mark_jumps(plot, data, high)
-    return plot.svg()
+    return plot
 
 
 def _mark_jumps(plot: Plot, data: ReportData, high: float) -> None:
@@ -60,7 +60,7 @@ def _mark_jumps(plot: Plot, data: ReportData, high: float) -> None:
     plot.dots(data.tracks.seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
 
 
-def rotation_by_axis(data: ReportData) -> str:
+def rotation_by_axis(data: ReportData) -> Plot:
     """Draw the rotation of a motion about each axis, with what is needed."""
     found = np.array(data.result.observability.excitation_deg)
     need = data.need_deg
@@ -77,10 +77,10 @@ def rotation_by_axis(data: ReportData) -> str:
     if need is not None and low < need < high:
         # At the end where the bar is lower.
         plot.horizontal(need, 'need', f'need {need:.2g}', at_left=bool(found[0] <= found[2]))
-    return plot.svg()
+    return plot
 
 
-def deviation_over_time(data: ReportData, *, rotation: bool) -> str:
+def deviation_over_time(data: ReportData, *, rotation: bool) -> Plot:
     """Draw the standard deviations against driving time."""
     parts, config = data.parts, data.result.config
     columns = range(3, 6) if rotation else range(3)
@@ -98,10 +98,10 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> str:
             limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
     for k in columns:
         plot.line(parts.growth_s, parts.growth_std[:, k], f'line-{"xyz"[k % 3]}')
-    return plot.svg()
+    return plot
 
 
-def part_plot(data: ReportData, k: int) -> str:
+def part_plot(data: ReportData, k: int) -> Plot:
     """Draw what quarters and time scales say of one number, relative to the answer."""
     found, row = data.of_parts(k), data.rows[k]
     # One wild part must not flatten the others.
@@ -115,7 +115,7 @@ def part_plot(data: ReportData, k: int) -> str:
                 x_label='quarters | time scales, s', y_label=f'{AXES[k]}, {unit_of(k)}')
     if found.is_open:
         plot.write(sum(x) / 2, 0.0, 'not determined by the motion', 'middle')
-        return plot.svg()
+        return plot
     plot.band(x, [-2 * found.own] * 2, [2 * found.own] * 2, 'band-answer')
     plot.horizontal(0.0, 'zero')
     for n, place in enumerate(places):
@@ -123,10 +123,10 @@ def part_plot(data: ReportData, k: int) -> str:
             plot.error_bar(place, found.values[n], found.std[n], 'far' if found.far[n] else 'near')
         else:
             plot.write(place, 0.0, '?', 'middle')
-    return plot.svg()
+    return plot
 
 
-def residual_over_time(data: ReportData, k: int) -> str:
+def residual_over_time(data: ReportData, k: int) -> Plot:
     """Draw the residuals of one number with three standard deviations of the noise."""
     found = data.residuals
     values, sigma = found.values[:, k], found.sigma[:, k]
@@ -140,10 +140,10 @@ def residual_over_time(data: ReportData, k: int) -> str:
     out = np.flatnonzero(found.excluded)
     out = out[::max(1, len(out) // 60)]
     plot.dots(found.seconds[out], values[out], 'jump', 1.8)
-    return plot.svg()
+    return plot
 
 
-def histogram(data: ReportData) -> str:
+def histogram(data: ReportData) -> Plot:
     """Draw the residuals over their likely size, beside a normal distribution."""
     found = data.residuals
     z = found.values[~found.excluded] / np.maximum(found.sigma[~found.excluded], 1e-300)
@@ -161,14 +161,14 @@ def histogram(data: ReportData) -> str:
     plot.band(grid, 0 * grid, np.exp(-grid**2 / 2) / np.sqrt(2 * np.pi), 'band-noise')
     for share, style in zip(shares, ('line-a', 'line-b'), strict=True):
         plot.line(np.repeat(edges, 2)[1:-1], np.repeat(share, 2), style)
-    return plot.svg()
+    return plot
 
 
-def box_by_scale(data: ReportData, kind: int) -> str:
+def box_by_scale(data: ReportData, kind: int) -> Plot:
     """Draw the size of the residuals against the length of the motions."""
     found = data.residuals
     if not len(found.scales_s):
-        return Plot((0, 1), (0, 1), name='no time scale', x_ticks=[], y_ticks=[]).svg()
+        return Plot((0, 1), (0, 1), name='no time scale', x_ticks=[], y_ticks=[])
     values = found.by_scale[:, kind]
     shown = np.concatenate([values[values > 0], found.expected[:, kind]])
     low, high = max(float(shown.min()) / 1.5, 1e-6), max(float(shown.max()) * 1.5, 1e-5)
@@ -181,20 +181,20 @@ def box_by_scale(data: ReportData, kind: int) -> str:
         plot.line([k, k], [least, most], 'line-thin')
         plot.rectangle((k - 0.2, k + 0.2), (lower, upper), 'fill-b' if kind else 'fill-a')
         plot.line([k - 0.2, k + 0.2], [middle, middle], 'median')
-    return plot.svg()
+    return plot
 
 
-def rates(clocks: Clocks) -> str:
+def rates(clocks: Clocks) -> Plot:
     """Draw the angular rates of both over each other."""
     _, high = limits(clocks.rate_a, clocks.rate_b, include=(0.0,))
     plot = Plot((float(clocks.seconds[0]), float(clocks.seconds[-1])), (0.0, high),
                 name='angular rates', x_label='time, s', y_label='deg/s')
     plot.line(clocks.seconds, clocks.rate_b, 'line-b wide')
     plot.line(clocks.seconds, clocks.rate_a, 'line-a')
-    return plot.svg()
+    return plot
 
 
-def offset_curve(clocks: Clocks) -> str:
+def offset_curve(clocks: Clocks) -> Plot:
     """Draw how well the rotations agree at other clock offsets."""
     low = max(-0.2, float(clocks.correlation.min()) - 0.05)
     plot = Plot((float(clocks.offsets_s[0]), float(clocks.offsets_s[-1])), (low, 1.03),
@@ -202,20 +202,22 @@ def offset_curve(clocks: Clocks) -> str:
                 x_label='further clock offset, s', y_label='correlation')
     plot.vertical(0.0, 'need', 'used')
     plot.line(clocks.offsets_s, clocks.correlation, 'line-a')
-    return plot.svg()
+    return plot
 
 
-def gap_strip(clocks: Clocks) -> str:
+def gap_strip(clocks: Clocks) -> Plot:
     """Draw when each sensor has poses."""
     plot = Plot((0.0, clocks.duration_s), (-0.5, 1.5), name='times with poses', height=110,
                 x_label='time, s', y_ticks=[(1, 'a'), (0, 'b')])
     for row, spans, style in ((1, clocks.spans_a, 'fill-a'), (0, clocks.spans_b, 'fill-b')):
         for start, end in spans[:400]:
-            plot.rectangle((start, end), (row - 0.3, row + 0.3), style)
-    return plot.svg()
+            # A single pose is seen, too.
+            end_ = max(end, start + clocks.duration_s / WIDTH)
+            plot.rectangle((start, end_), (row - 0.3, row + 0.3), style)
+    return plot
 
 
-def scale_over_path(scale: PathScale) -> str:
+def scale_over_path(scale: PathScale) -> Plot:
     """Draw the ratio of the lengths of both over the drive."""
     low, high = limits(scale.ratio - 2 * scale.std, scale.ratio + 2 * scale.std,
                        include=(0.999, 1.001))
@@ -224,7 +226,7 @@ def scale_over_path(scale: PathScale) -> str:
     plot.horizontal(1.0, 'zero')
     for x, y, std in zip(scale.seconds, scale.ratio, scale.std, strict=True):
         plot.error_bar(float(x), float(y), float(std), 'near')
-    return plot.svg()
+    return plot
 
 
 def evenly(count: int, most: int) -> FloatArray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from html import escape
 import itertools
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -196,8 +197,35 @@ def ellipse(covariance: FloatArray) -> FloatArray:
     return points
 
 
-class Plot(Canvas):
-    """One pair of axes; methods draw onto it in its numbers."""
+class Mark(NamedTuple):
+    """One thing on a plot, in its numbers: a 'line', an 'area', 'dots' or 'words'.
+
+    ``style`` is a class of the style sheet, of words where they stand ('start', 'middle', 'end');
+    ``words`` are written, or shown under the pointer; ``size`` is the radius of a dot; ``shift``
+    moves words, in units of the picture.
+    """
+
+    kind: str
+    x: FloatArray
+    y: FloatArray
+    style: str
+    words: str = ''
+    size: float = 0.0
+    shift: tuple[float, float] = (0.0, 0.0)
+
+
+class Plot:
+    """One pair of axes and what is drawn on it, in its numbers; ``svg`` returns the picture.
+
+    Attributes
+    ----------
+    name, x_label, y_label : what it shows.
+    x, y : limits.
+    log_y : whether y is logarithmic.
+    x_ticks, y_ticks : places and words; None for round numbers.
+    marks : what is drawn, the lowest first.
+
+    """
 
     def __init__(
         self, x: tuple[float, float], y: tuple[float, float], *, name: str, x_label: str = '',
@@ -205,83 +233,100 @@ class Plot(Canvas):
         x_ticks: Sequence[tuple[float, str]] | None = None,
         y_ticks: Sequence[tuple[float, str]] | None = None,
     ) -> None:
-        super().__init__(name, WIDTH, height)
-        self._y = y
-        self._bottom, self._right = height - _BOTTOM, WIDTH - _RIGHT
-        self._to_x = _axis(x, _LEFT, self._right, log=False)
-        self._to_y = _axis(y, self._bottom, _TOP, log=log_y)
-        of_y = log_ticks(*y) if log_y else ticks(*y)
-        for value, words in _labelled(of_y) if y_ticks is None else y_ticks:
-            self.horizontal(value, 'grid')
-            self.text(_LEFT - 6, float(self._to_y(np.array(value))) + 4, words, 'end', '')
-        for value, words in _labelled(ticks(*x)) if x_ticks is None else x_ticks:
-            self.text(float(self._to_x(np.array(value))), self._bottom + 15, words, 'middle', '')
-        self.add('path', 'axis', d=f'M{_LEFT} {self._bottom}H{self._right}')
-        # Beside its axis, in a corner where no curve ends.
-        self.text(self._right, height - 3, x_label, 'end', 'unit')
-        self.text(2, 9, y_label, style='unit')
+        self.name, self.x, self.y, self.log_y, self._height = name, x, y, log_y, height
+        self.x_label, self.y_label = x_label, y_label
+        self.x_ticks, self.y_ticks = x_ticks, y_ticks
+        self.marks: list[Mark] = []
 
     def line(self, x: ArrayLike, y: ArrayLike, style: str) -> None:
         """Draw a line; NaN breaks it."""
-        xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        if len(xs) > 2 * _COLUMNS:
-            xs, ys = _envelope(xs, ys)
-        self.path(self._points(xs, ys), style)
+        self._mark('line', x, y, style)
+
+    def area(self, x: ArrayLike, y: ArrayLike, style: str, title: str = '') -> None:
+        """Fill the inside of an outline; ``title`` is shown under the pointer."""
+        self._mark('area', x, y, style, title)
+
+    def dots(
+        self, x: ArrayLike, y: ArrayLike, style: str, radius: float = 2.6, title: str = '',
+    ) -> None:
+        """Draw a dot at each point."""
+        self._mark('dots', x, y, style, title, radius)
+
+    def write(
+        self, x: float, y: float, words: str, anchor: str = 'start',
+        shift: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Write words at a point."""
+        if words:
+            self._mark('words', [x], [y], anchor, words, shift=shift)
+
+    def _mark(self, kind: str, x: ArrayLike, y: ArrayLike, *how: Any, **more: Any) -> None:
+        x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+        self.marks.append(Mark(kind, x, y, *how, **more))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, style: str) -> None:
         """Fill between two lines."""
         xs, lows, highs = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
         every = slice(None, None, max(1, len(xs) // _BAND_COLUMNS))
         xs, lows, highs = xs[every], lows[every], highs[every]
-        self.path(self._points(np.concatenate([xs, xs[::-1]]),
-                               np.concatenate([highs, lows[::-1]])), style, closed=True)
-
-    def dots(self, x: ArrayLike, y: ArrayLike, style: str, radius: float = 2.6) -> None:
-        """Draw a dot at each point."""
-        points = self._points(x, y)
-        for px, py in points[np.isfinite(points).all(axis=1)]:
-            self.circle(px, py, radius, style)
-
-    def error_bar(self, x: float, y: float, std: float, style: str, title: str = '') -> None:
-        """Draw a point with two standard deviations on either side."""
-        (px, low), (_, py), (_, high) = self._points([x] * 3, [y - 2 * std, y, y + 2 * std])
-        self.add('path', f'{style} bar', d=(
-            f'M{px:.1f} {low:.1f}V{high:.1f}M{px - 3:.1f} {low:.1f}h6M{px - 3:.1f} {high:.1f}h6'))
-        if self._y[0] <= y <= self._y[1]:
-            self.circle(px, py, 3.2, style, title=title)
+        self.area(np.concatenate([xs, xs[::-1]]), np.concatenate([highs, lows[::-1]]), style)
 
     def rectangle(
         self, x: tuple[float, float], y: tuple[float, float], style: str, title: str = '',
     ) -> None:
         """Fill a rectangle."""
-        low, high = np.sort(self._points(x, y), axis=0)
-        width, height = np.maximum(high - low, 0.6)
-        self.box(low[0], low[1], width, height, style, title=title)
+        self.area(np.array(x)[[0, 1, 1, 0]], np.array(y)[[0, 0, 1, 1]], style, title)
+
+    def error_bar(self, x: float, y: float, std: float, style: str, title: str = '') -> None:
+        """Draw a point with two standard deviations on either side."""
+        low, high, cap = y - 2 * std, y + 2 * std, 0.008 * (self.x[1] - self.x[0])
+        self.line([x - cap, x + cap, x, x, x - cap, x + cap],
+                  [low, low, low, high, high, high], f'{style} bar')
+        if self.y[0] <= y <= self.y[1]:
+            self.dots([x], [y], style, 3.2, title)
 
     def horizontal(self, y: float, style: str, words: str = '', *, at_left: bool = False) -> None:
         """Draw a level line with its name at one end."""
-        py = float(self._to_y(np.array(y)))
-        self.add('path', style, d=f'M{_LEFT} {py:.1f}H{self._right}')
-        if words:
-            self.text(_LEFT + 3 if at_left else self._right - 2, py - 4, words,
-                      'start' if at_left else 'end')
+        self.line(self.x, [y, y], style)
+        end, anchor, shift = (0, 'start', 3) if at_left else (1, 'end', -2)
+        self.write(self.x[end], y, words, anchor, (shift, -4))
 
     def vertical(self, x: float, style: str, words: str = '') -> None:
         """Draw an upright line with its name at the top."""
-        px = float(self._to_x(np.array(x)))
-        self.add('path', style, d=f'M{px:.1f} {_TOP}V{self._bottom}')
-        if words:
-            self.text(px + 4, _TOP + 9, words)
+        self.line([x, x], self.y, style)
+        self.write(x, self.y[1], words, shift=(4, 9))
 
-    def write(self, x: float, y: float, words: str, anchor: str = 'start') -> None:
-        """Write words at a point of the axes."""
-        (px, py), = self._points([x], [y])
-        self.text(px, py, words, anchor)
-
-    def _points(self, x: ArrayLike, y: ArrayLike) -> FloatArray:
-        """Return (N, 2) places in the picture; NaN stays."""
-        ys = np.clip(np.asarray(y, dtype=np.float64), *self._y)
-        return np.column_stack([self._to_x(np.asarray(x, dtype=np.float64)), self._to_y(ys)])
+    def svg(self) -> str:
+        """Return the picture."""
+        canvas = Canvas(self.name, WIDTH, self._height)
+        bottom, right = self._height - _BOTTOM, WIDTH - _RIGHT
+        to_x = _axis(self.x, _LEFT, right, log=False)
+        to_y = _axis(self.y, bottom, _TOP, log=self.log_y)
+        of_y = log_ticks(*self.y) if self.log_y else ticks(*self.y)
+        for value, words in _labelled(of_y) if self.y_ticks is None else self.y_ticks:
+            py = float(to_y(np.array(value)))
+            canvas.path(np.array([[_LEFT, py], [right, py]]), 'grid')
+            canvas.text(_LEFT - 6, py + 4, words, 'end', '')
+        for value, words in _labelled(ticks(*self.x)) if self.x_ticks is None else self.x_ticks:
+            canvas.text(float(to_x(np.array(value))), bottom + 15, words, 'middle', '')
+        canvas.path(np.array([[_LEFT, bottom], [right, bottom]]), 'axis')
+        # Beside its axis, in a corner where no curve ends.
+        canvas.text(right, self._height - 3, self.x_label, 'end', 'unit')
+        canvas.text(2, 9, self.y_label, style='unit')
+        for mark in self.marks:
+            x, y = mark.x, mark.y
+            if mark.kind == 'line' and len(x) > 2 * _COLUMNS:
+                x, y = _envelope(x, y)
+            points = np.column_stack([to_x(x), to_y(np.clip(y, *self.y))])
+            if mark.kind == 'words':
+                px, py = points[0] + mark.shift
+                canvas.text(px, py, mark.words, mark.style)
+            elif mark.kind == 'dots':
+                for px, py in points[np.isfinite(points).all(axis=1)]:
+                    canvas.circle(px, py, mark.size, mark.style, title=mark.words)
+            else:
+                canvas.path(points, mark.style, closed=mark.kind == 'area', title=mark.words)
+        return canvas.svg()
 
 
 def _labelled(values: FloatArray) -> list[tuple[float, str]]:

@@ -17,7 +17,7 @@ _VISIBLE = 5.0
 _ROOM = 2.45
 
 
-def sensor_view(data: ReportData, first: int, second: int) -> str:
+def sensor_view(data: ReportData, first: int, second: int) -> Scene:
     """Draw both sensors seen along the third axis of a; ``first`` points right, ``second`` up."""
     result, axes = data.result, [first, second]
     unknown = np.array([result.observability.status['xyz'[axis]] == UNOBSERVED for axis in axes])
@@ -49,7 +49,7 @@ def sensor_view(data: ReportData, first: int, second: int) -> str:
             ('b', t, result.T_a_b[:3, :3], 0.75 * arm, far)):
         scene.axes(origin, R[axes], length, lettered=lettered)
         scene.dot(origin, 4, f'dot-{name}')
-    return scene.svg()
+    return scene
 
 
 def _reach(data: ReportData) -> float:

@@ -6,6 +6,8 @@ from __future__ import annotations
 
 from html import escape
 
+from trajectory_calibration.outputs.report.figures import Canvas, Plot
+
 
 def metres(value: float) -> str:
     """Return a length for a person: '1.72 m', '3.1 km', '4 mm'."""
@@ -32,12 +34,15 @@ def next_step(text: str) -> str:
     return f'<p class="next"><b>Next</b> {escape(sentence(text))}</p>' if text else ''
 
 
-def figure(title: str, picture: str, reading: str, good: str, bad: str, *, wide: bool = False,
-           legend: str = '') -> str:
+def figure(
+    title: str, picture: Canvas | Plot | str, reading: str, good: str, bad: str, *,
+    wide: bool = False, legend: str = '',
+) -> str:
     """Return a figure with what it says here, and what good and bad look like."""
     style = ' class="wide"' if wide else ''
+    drawn = picture if isinstance(picture, str) else picture.svg()
     return (
-        f'<figure{style}><h3>{escape(title)}</h3>{legend}{picture}<figcaption>'
+        f'<figure{style}><h3>{escape(title)}</h3>{legend}{drawn}<figcaption>'
         f'<p class="reading">{escape(reading)}</p>'
         f'<p><b>Good:</b> {escape(good)}. <b>Bad:</b> {escape(bad)}.</p>'
         '</figcaption></figure>')

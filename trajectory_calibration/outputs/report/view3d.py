@@ -39,7 +39,7 @@ def track_view(tracks: Tracks) -> str:
         'gaps': gaps.tolist(), 'grid': _GRID, 'axes': names,
     }
     words = json.dumps(numbers, separators=(',', ':'))
-    return (f'<div class="view3d" id="view"><div class="static">{_from_above(a, c, tracks)}'
+    return (f'<div class="view3d" id="view"><div class="static">{_from_above(a, c, tracks).svg()}'
             f'</div><script type="application/json" id="tracks">{words}</script></div>')
 
 
@@ -70,7 +70,7 @@ def _grid(points: FloatArray, middle: FloatArray, size: float) -> list[int]:
     return found
 
 
-def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
+def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> Scene:
     """Draw both tracks, upright, from above."""
     keep = _kept(tracks)
     a, c = lying(a[:, :2], c[:, :2])
@@ -90,7 +90,7 @@ def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> str:
     x, y = scene.place(a[0])
     scene.text(x + 8, y - 6, 'start')
     scene.scale_bar()
-    return scene.svg()
+    return scene
 
 
 def lying(*tracks: FloatArray) -> list[FloatArray]:
@@ -100,7 +100,7 @@ def lying(*tracks: FloatArray) -> list[FloatArray]:
             for points in tracks]
 
 
-def single_track(positions: FloatArray, style: str) -> str:
+def single_track(positions: FloatArray, style: str) -> Scene:
     """Draw one track along the two axes in which it is longest."""
     axes, turned = upright(positions)
     points = (positions[evenly(len(positions), _POSES)] @ turned.T)[:, :2]
@@ -108,4 +108,4 @@ def single_track(positions: FloatArray, style: str) -> str:
     scene.line(points, style)
     scene.dot(points[0], 4, 'start')
     scene.legend(axes[0], axes[1])
-    return scene.svg()
+    return scene
