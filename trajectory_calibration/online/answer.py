@@ -8,7 +8,6 @@ import json
 
 import numpy as np
 
-from trajectory_calibration.errors import counted
 from trajectory_calibration.outputs.screen import deviation_words, transform_words
 from trajectory_calibration.result import CalibrationResult
 
@@ -54,7 +53,7 @@ def describe(result: CalibrationResult, *notes: str) -> str:
         drift = f', changing by {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
         lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
     lines.append(
-        f'data: {counted(result.motions, "motion")} of {counted(result.poses, "pose")}; '
+        f'data: {result.motions} motions of {result.poses} poses; '
         f'fit residual {result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per '
         'motion (not the accuracy)')
     lines += filter(None, notes)
