@@ -14,10 +14,11 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.drawings import evenly
-from trajectory_calibration.outputs.report.figures import Canvas, ellipse, limits, Plot, Scene
+from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
 from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import Record, record_cards, versions
 from trajectory_calibration.outputs.report.render import finding_list
+from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.text import (
     figure,
     next_step,
@@ -52,7 +53,9 @@ def render_rig(
 
     ``trajectories``, by the names of the sensors, add the tracks carried into the base.
     """
-    views = ''.join(_view(rig, *axes) for axes in ((0, 1), (0, 2), (1, 2)))
+    views = sensor_views([
+        Mounted(name, rig.sensors[name].T_base_sensor, rig.sensors[name].covariance,
+                rig.sensors[name].status, _colour(rig, name)) for name in rig.trees[rig.base]])
     parts = [
         _box(rig),
         section(1, 'Where is each sensor?', _tree(rig) + views,
@@ -108,40 +111,6 @@ def _box(rig: RigResult) -> str:
     return verdict_section(
         style, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
         f'<p class="sentence">{escape(loops)}</p>{table(head, rows)}{next_step(worst)}')
-
-
-def _view(rig: RigResult, first: int, second: int) -> str:
-    """Draw the sensors along two axes of the base, with their ellipses."""
-    axes = [first, second]
-    sensors = [rig.sensors[name] for name in rig.trees[rig.base]]
-    unknown = [np.array([sensor.status['xyz'[axis]] == 'unobserved' for axis in axes])
-               for sensor in sensors]
-    # What is unknown of a sensor has no size.
-    regions = [ellipse(sensor.covariance[np.ix_(axes, axes)] * np.outer(~open_, ~open_))
-               for sensor, open_ in zip(sensors, unknown, strict=True)]
-    at = [sensor.T_base_sensor[:3, 3][axes] for sensor in sensors]
-    names = f'{"xyz"[first]} to the right, {"xyz"[second]} up'
-    scene = Scene.around(
-        np.concatenate([where + region for where, region in zip(at, regions, strict=True)]),
-        names, _WIDTH, _HEIGHT, margin=34, least=0.1)
-    for sensor, where, region, open_ in zip(sensors, at, regions, unknown, strict=True):
-        if sensor.name != sensor.base and not open_.any():
-            scene.line(where + region, 'ellipse', f'stroke:{_colour(rig, sensor.name)}',
-                       closed=True)
-        scene.axes(where, sensor.T_base_sensor[axes, :3], 18 / scene.pixels)
-        scene.dot(where, 4, css=f'fill:{_colour(rig, sensor.name)}')
-        words = ', '.join('xyz'[axis] for axis in np.array(axes)[open_])
-        x, y = scene.place(where)
-        right = x > 0.7 * _WIDTH
-        scene.text(x + (-7 if right else 7), y - 7,
-                   f'{sensor.name} ({words} unknown)' if words else sensor.name,
-                   'end' if right else 'start')
-    scene.legend('xyz'[first], 'xyz'[second])
-    return figure(
-        f'Sensors in {rig.base}, {names}', scene,
-        'Lines are the axes x (red), y (green), z (blue) of each sensor.',
-        'small ellipses, sensors where they are mounted',
-        'a sensor far from where it is, or unknown')
 
 
 def _tree(rig: RigResult) -> str:

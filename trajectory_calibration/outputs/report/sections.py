@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajectory_calibration.assessment.observability import UNOBSERVED
+from trajectory_calibration.assessment.observability import OBSERVED
 from trajectory_calibration.errors import counted
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
-from trajectory_calibration.outputs.report.sensors import sensor_view
+from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.text import figure, legend, metres, section
 from trajectory_calibration.outputs.report.view3d import MOST_JUMPS, track_view
 from trajectory_calibration.outputs.screen import reference_words
@@ -72,11 +72,7 @@ def _motion(data: ReportData) -> str:
         enough = int(np.sum(found >= need))
         reading = (f'{enough} of 3 axes reach the need of {need:.2g} deg; at least 2 must, '
                    'because a rotation says nothing about the translation along its own axis.')
-    unobserved = [name for name in 'xyz' if observability.status[name] == UNOBSERVED]
-    where = ('b lies in the ellipse with 95 % probability.' if not unobserved else
-             f'{", ".join(unobserved)} of b in a is unknown.')
     key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
-    sensors = legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}'))
     growth = data.parts.growth_std
     flat = ''
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
@@ -97,15 +93,12 @@ def _motion(data: ReportData) -> str:
                  'same does not.',
                  'falling below the dashed line, then flat', 'above the line at the end',
                  legend=key)
-        + figure('Sensors seen along z of a', sensor_view(data, 0, 1), where,
-                 'b where you mounted it, in an ellipse smaller than the axes',
-                 'an ellipse as large as the distance, or a stripe', legend=sensors)
-        + figure('Sensors seen along y of a', sensor_view(data, 0, 2), where,
-                 'b where you mounted it', 'an upright stripe: the height was not excited',
-                 legend=sensors)
-        + figure('Sensors seen along x of a', sensor_view(data, 1, 2), where,
-                 'b where you mounted it', 'b on the wrong side, or a stripe',
-                 legend=sensors))
+        + sensor_views([
+            Mounted(result.frame_a, np.eye(4), np.zeros((6, 6)),
+                    dict.fromkeys(observability.status, OBSERVED), 'var(--a)'),
+            Mounted(result.frame_b, result.T_a_b,
+                    np.zeros((6, 6)) if result.covariance is None else result.covariance,
+                    observability.status, 'var(--b)')]))
     return section(2, 'Was the motion enough?', figures)
 
 

@@ -1,62 +1,101 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Sensor b in the frame of a, with the region that holds it with 95 % probability."""
+"""Where sensors are mounted, each with the region that holds it with 95 % probability."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from trajectory_calibration.assessment.observability import UNOBSERVED
-from trajectory_calibration.outputs.report.data import ReportData
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.figures import ellipse, Scene
+from trajectory_calibration.outputs.report.text import figure
 
-_WIDTH, _HEIGHT, _MARGIN = 360, 240, 30
+_WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
+# Length of the axes of a sensor, in the picture.
+_ARM = 22
 # An ellipse smaller than this is drawn larger, and said so.
 _VISIBLE = 5.0
-# Standard deviations that a view has room for.
-_ROOM = 2.45
+_FACTORS = [factor * 10**power for power in range(4) for factor in (1, 2, 5)]
+# Standard deviations that an ellipse reaches, and least metres that fill a view.
+_REACH, _LEAST = 2.45, 0.06
+# Share of the width from which on a name stands to the left of its sensor.
+_AT_RIGHT = 0.7
 
 
-def sensor_view(data: ReportData, first: int, second: int) -> Scene:
-    """Draw both sensors seen along the third axis of a; ``first`` points right, ``second`` up."""
-    result, axes = data.result, [first, second]
-    unknown = np.array([result.observability.status['xyz'[axis]] == UNOBSERVED for axis in axes])
-    t = np.where(unknown, 0.0, result.T_a_b[:3, 3][axes])
-    P = np.zeros((2, 2)) if result.covariance is None else result.covariance[np.ix_(axes, axes)]
-    region = ellipse(P * np.outer(~unknown, ~unknown))
-    span = (_HEIGHT - 2 * _MARGIN) / 2
-    scene = Scene('sensors in the frame of a', _WIDTH, _HEIGHT, 0.5 * t, span / _reach(data))
-    arm = 0.32 * span / scene.pixels
-    scene.legend('xyz'[first], 'xyz'[second])
-    x, y = scene.place(t)
-    if unknown[0]:
-        scene.box(0, y - 7, _WIDTH, 14, 'open')
-    if unknown[1]:
-        scene.box(x - 7, 0, 14, _HEIGHT, 'open')
-    if unknown.any():
-        scene.text(_WIDTH - 6, 28, 'unknown along the stripe', 'end')
-    size = float(np.abs(region).max()) * scene.pixels
-    if size > 0 and not unknown.all():
-        # By how many powers of ten it must grow to be seen.
-        larger = 10 ** int(np.clip(np.ceil(np.log10(_VISIBLE / size)), 0, 4))
-        scene.line(t + larger * region, 'ellipse', closed=True)
+class Mounted(NamedTuple):
+    """A sensor in the frame of the first one of several: its (4, 4) pose in metres.
+
+    ``covariance`` is (6, 6) or larger than nothing is known of; ``colour`` is one of CSS.
+    """
+
+    name: str
+    T: FloatArray
+    covariance: FloatArray
+    status: Mapping[str, str]
+    colour: str
+
+
+def sensor_views(sensors: Sequence[Mounted]) -> str:
+    """Return figures of sensors seen along z, y and x of the frame of the first one."""
+    known = np.array([[sensor.status['xyz'[k]] != UNOBSERVED for k in range(3)]
+                      for sensor in sensors])
+    # What is unknown of a sensor is drawn at its origin, without a size.
+    places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
+    P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
+        known[:, :, None] & known[:, None, :])
+    reach = _REACH * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+    low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
+    extent = np.maximum(high - low, _LEAST)
+    # One scale for all views; x is never upright, z never level.
+    pixels = float(min((_WIDTH - 2 * _MARGIN) / extent[:2].max(),
+                       (_HEIGHT - 2 * _MARGIN) / extent[1:].max()))
+    found = []
+    for axes, along in (([0, 1], 'z'), ([0, 2], 'y'), ([1, 2], 'x')):
+        across, up = ('xyz'[axis] for axis in axes)
+        scene = Scene(f'sensors seen along {along}', _WIDTH, _HEIGHT,
+                      0.5 * (low + high)[axes], pixels)
+        scene.legend(across, up)
+        regions = [ellipse(item[np.ix_(axes, axes)]) for item in P]
+        size = float(np.abs(regions).max()) * pixels
+        # How much they must grow to be seen; those of no size never are.
+        larger = next((factor for factor in _FACTORS if size * factor >= _VISIBLE), 1)
         if larger > 1:
-            scene.text(_WIDTH - 6, 14, f'ellipse drawn {larger} times as large', 'end')
-    scene.line(np.array([[0.0, 0.0], t]), 'lever')
-    far = float(np.linalg.norm(t)) > 1.5 * arm
-    for name, origin, R, length, lettered in (
-            ('a', np.zeros(2), np.eye(3), arm, True),
-            ('b', t, result.T_a_b[:3, :3], 0.75 * arm, far)):
-        scene.axes(origin, R[axes], length, lettered=lettered)
-        scene.dot(origin, 4, f'dot-{name}')
-    return scene
+            scene.text(_WIDTH - 6, 12, f'ellipses drawn {larger} times as large', 'end')
+        for sensor, place, region, is_known in zip(
+                sensors, places[:, axes], regions, known, strict=True):
+            _draw(scene, sensor, axes, place, larger * region, is_known)
+        unknown = [f'{", ".join(np.array(list("xyz"))[~item])} of {sensor.name}'
+                   for sensor, item in zip(sensors, known, strict=True) if not item.all()]
+        where = ' along the stripe' if not known[:, axes].all() else ''
+        found.append(figure(
+            f'Sensors seen along {along} of {sensors[0].name}', scene,
+            f'{"; ".join(unknown)}: unknown{where}.' if unknown else
+            'Each sensor lies in its ellipse with 95 % probability.',
+            'sensors where you mounted them, in ellipses smaller than the distances. Axes: x red, '
+            'y green, z blue', 'a sensor on the wrong side, a large ellipse, or unknown'))
+    return ''.join(found)
 
 
-def _reach(data: ReportData) -> float:
-    """Return metres from the middle to the border, the same for all three views."""
-    result = data.result
-    known = np.array([result.observability.status[name] != UNOBSERVED for name in 'xyz'])
-    size = np.abs(result.T_a_b[:3, 3]) / 2
-    if result.covariance is not None:
-        size = size + _ROOM * np.sqrt(np.maximum(np.diagonal(result.covariance)[:3], 0.0))
-    return 1.2 * max(float((size * known).max()), 0.03)
+def _draw(
+    scene: Scene, sensor: Mounted, axes: list[int], place: FloatArray, region: FloatArray,
+    known: FloatArray,
+) -> None:
+    x, y = scene.place(place)
+    if not known[axes[0]]:
+        scene.box(0, y - 7, _WIDTH, 14, 'open')
+    if not known[axes[1]]:
+        scene.box(x - 7, 0, 14, _HEIGHT, 'open')
+    if region.any():
+        scene.line(place + region, 'ellipse', f'stroke:{sensor.colour}', closed=True)
+    scene.line(np.stack([np.zeros(2), place]), 'lever')
+    scene.axes(place, sensor.T[axes, :3], _ARM / scene.pixels)
+    scene.dot(place, 4, css=f'fill:{sensor.colour}')
+    unknown = ', '.join(name for name, is_known in zip('xyz', known, strict=True) if not is_known)
+    at_right = x > _AT_RIGHT * _WIDTH
+    scene.text(x + (-7 if at_right else 7), y - 7,
+               f'{sensor.name} ({unknown} unknown)' if unknown else sensor.name,
+               'end' if at_right else 'start')
