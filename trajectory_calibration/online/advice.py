@@ -29,10 +29,6 @@ _SINGLE = 0.1
 # A standard deviation so many times its limit is no number worth naming.
 _HOPELESS = 100.0
 
-_UNITS = ('m', 'm', 'm', 'deg', 'deg', 'deg')
-_DIRECTIONS = ('translation along x', 'translation along y', 'translation along z',
-               'rotation about x', 'rotation about y', 'rotation about z')
-
 
 @dataclass(frozen=True, eq=False)
 class Advice:
@@ -77,14 +73,15 @@ class Advice:
             return f'enough motion: call ~/calibrate{left_out}'
         worst = int(np.argmax(ratios))
         name = DEGREES_OF_FREEDOM[worst]
-        limit = translation_limit if worst < 3 else rotation_limit_deg
+        direction = f'{"translation along" if worst < 3 else "rotation about"} {name[-1]}'
+        limit, unit = (translation_limit, 'm') if worst < 3 else (rotation_limit_deg, 'deg')
         std = self.std
         unknown = (std is None or name in result.observability.unobserved
                    or ratios[worst] > _HOPELESS)
         known = ('is not determined' if unknown or std is None else
-                 f'has a standard deviation of {std[worst]:.2g} {_UNITS[worst]}')
-        return (f'{_manoeuvre(worst, result)}: {_DIRECTIONS[worst]} of {result.frame_a} {known}, '
-                f'needed {limit:g} {_UNITS[worst]}')
+                 f'has a standard deviation of {std[worst]:.2g} {unit}')
+        return (f'{_manoeuvre(worst, result)}: {direction} of {result.frame_a} {known}, '
+                f'needed {limit:g} {unit}')
 
     def _ratios(self, translation_limit: float, rotation_limit_deg: float) -> FloatArray | None:
         """Return (6,) standard deviations over their limits, of what is asked for."""

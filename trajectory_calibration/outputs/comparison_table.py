@@ -19,7 +19,7 @@ _SHOWN_FINDINGS = 2
 
 def to_text(comparison: Comparison) -> str:
     """Return the verdict, then one line for each answer."""
-    rows = [_HEAD, *(_cells(entry) for entry in comparison.entries)]
+    rows = [_HEAD, *(cells_of(entry, _SHOWN_FINDINGS) for entry in comparison.entries)]
     widths = [max(len(cells[k]) for cells in rows if len(cells) > 3) for k in range(len(_HEAD))]
     lines = [*comparison.describe(), '']
     for cells in rows:
@@ -46,22 +46,15 @@ def to_json(comparison: Comparison) -> str:
     return json.dumps(comparison.to_dict())
 
 
-def _cells(entry: Entry) -> tuple[str, ...]:
-    if entry.result is None:
+def cells_of(entry: Entry, most: int | None = None) -> tuple[str, ...]:
+    """Return name, date, six numbers in words ('0.209 +- 0.063', 'unknown') and findings.
+
+    At most ``most`` of the findings. Of a recording without an answer: its name and why.
+    """
+    result = entry.result
+    if result is None:
         return entry.name, 'no answer', entry.failure
-    cells = row(entry)
-    date = (cells['start_utc'] or '').replace('T', ' ').removesuffix('Z')
-    return (entry.name, date, *values_of(entry), _findings(cells['findings']))
-
-
-def values_of(entry: Entry) -> tuple[str, ...]:
-    """Return x, y, z, roll, pitch, yaw in words: '0.209 +- 0.063', 'unknown'."""
-    if entry.result is None:
-        return ('',) * 6
-    return tuple(map(str, answer_rows(entry.result)))
-
-
-def _findings(codes: str) -> str:
-    found = codes.split()
-    more = len(found) - _SHOWN_FINDINGS
-    return ' '.join(found[:_SHOWN_FINDINGS]) + (f' +{more}' if more > 0 else '')
+    date = (result.start_utc or '').replace('T', ' ').removesuffix('Z')
+    codes = list(dict.fromkeys(found.code for found in result.findings))
+    more = [] if most is None or len(codes) <= most else [f'+{len(codes) - most}']
+    return (entry.name, date, *map(str, answer_rows(result)), ' '.join(codes[:most] + more))

@@ -15,7 +15,7 @@ from trajectory_calibration.fleet.comparison import Comparison, Entry
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import NAMES
-from trajectory_calibration.outputs.comparison_table import values_of
+from trajectory_calibration.outputs.comparison_table import cells_of
 from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
 from trajectory_calibration.outputs.report.page import page
@@ -125,10 +125,8 @@ def _table(comparison: Comparison) -> str:
 
 
 def _row(entry: Entry) -> tuple[str, ...]:
-    result = entry.result
-    if result is None:
-        return (entry.name, 'no answer', *values_of(entry), '', entry.failure)
-    return (entry.name, (result.start_utc or '').replace('T', ' ').removesuffix('Z'),
-            *(value.replace('+-', '±') for value in values_of(entry)),
-            f'{result.metrics.e_rt:.3f}',
-            ' '.join(dict.fromkeys(found.code for found in result.findings)))
+    name, date, *numbers, last = cells_of(entry)
+    if entry.result is None:
+        return (name, date, *[''] * 7, last)
+    return (name, date, *(value.replace('+-', '±') for value in numbers),
+            f'{entry.result.metrics.e_rt:.3f}', last)

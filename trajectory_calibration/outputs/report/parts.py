@@ -95,12 +95,10 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
         scores = _scores(tracks, result.T_a_b, lag)
         if len(scores.start) >= _LEAST_MOTIONS:
             by_scale.append((seconds, scores))
-    empty = np.zeros((0, 6))
-    if not by_scale:
-        return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
     solved = [_solve(scores, held) for _, scores in by_scale]
     std = np.array([deviation for _, deviation in solved])
     if np.isnan(std).all():
+        empty = np.zeros((0, 6))
         return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
     # Where the time scale is short, white noise is all; where it is long, few are independent.
     best = by_scale[int(np.nanargmin(np.sum(np.log(std), axis=1)))][1]
