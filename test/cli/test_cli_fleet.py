@@ -51,6 +51,12 @@ def drives(tmp_path_factory):
     return folder
 
 
+def test_a_pattern_without_a_match_is_no_recording(tmp_path, capsys):
+    status, _, err = run(capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/x', '--b', '/y',
+                         '--output', tmp_path)
+    assert (status, err) == (2, f'error: no bags match {tmp_path}/*.mcap\n')
+
+
 @pytest.fixture(scope='module')
 def done(drives, tmp_path_factory):
     from trajectory_calibration.cli.main import main
@@ -89,7 +95,7 @@ def test_compare_says_the_same_of_the_results(done, capsys, tmp_path):
     again = ('compare', *results, '--output', tmp_path)
     status, out, err = run(capsys, *again)
     assert (status, out) == (2, '')
-    assert 'table.csv and 2 more exists; give --force' in err
+    assert 'table.csv and 2 more exist; give --force' in err
     assert run(capsys, *again, '--force')[0] == 4
     before = [path for path in results if int(path.name[5:].partition('-')[0]) < 8]
     status, out, _ = run(capsys, 'compare', *before, '--format', 'csv')
@@ -109,7 +115,7 @@ def test_what_another_run_left_is_overwritten_with_force_only(drives, tmp_path, 
     before = {path: path.read_bytes() for path in (tmp_path / 'out').rglob('*.*')}
     status, out, err = run(capsys, *fleet, '--reference', 'B7')
     assert (status, out) == (2, '')
-    assert 'table.csv and 5 more exists; give --force' in err
+    assert 'table.csv and 5 more exist; give --force' in err
     assert {path: path.read_bytes() for path in (tmp_path / 'out').rglob('*.*')} == before
     assert run(capsys, *fleet, '--reference', 'B7', '--force')[0] == 0
     # And tables that no fleet wrote.

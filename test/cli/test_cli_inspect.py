@@ -152,6 +152,8 @@ def test_several_paths(tmp_path, capsys):
     status, out, _ = run(capsys, 'inspect', a, b, write_pair_bag(tmp_path / 'bag'))
     assert status == 0
     assert out.count('sufficient: ') == 4
+    assert run(capsys, 'inspect', a, b, '--bag', tmp_path / 'bag')[1] == out
+    assert run(capsys, 'inspect')[::2] == (2, 'error: name a bag or a file\n')
 
 
 def test_kitti_needs_its_times(tmp_path, capsys):

@@ -155,7 +155,7 @@ def test_results_are_named_and_not_overwritten(folder, tmp_path, capsys):
     assert main(command) == 0
     assert f'wrote {tmp_path / "out"}\n' in capsys.readouterr().out
     assert main(command) == 2
-    assert 'rig.yaml and 4 more exists; give --force' in capsys.readouterr().err
+    assert 'rig.yaml and 4 more exist; give --force' in capsys.readouterr().err
     assert main([*command, '--force', '--format', 'json']) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)['base'] == 'lidar'

@@ -46,7 +46,7 @@ def test_an_earlier_drive_is_overwritten_only_by_force(tmp_path, capsys):
     assert simulate_to(tmp_path, *options) == 0
     before = (tmp_path / 'a.tum').read_bytes()
     assert simulate_to(tmp_path, *options, '--seed', '1') == 2
-    assert 'truth.tum and 2 more exists; give --force' in capsys.readouterr().err
+    assert 'truth.tum and 2 more exist; give --force' in capsys.readouterr().err
     assert (tmp_path / 'a.tum').read_bytes() == before
     assert simulate_to(tmp_path, *options, '--seed', '1', '--force') == 0
     assert (tmp_path / 'a.tum').read_bytes() != before

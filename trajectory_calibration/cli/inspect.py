@@ -12,7 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.inputs import add_file_arguments, load_one, options_of
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import ConfigError, SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
@@ -35,7 +35,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] PATH [PATH ...]',
         description='Show the trajectories in bags and files: counts, rates, gaps, frames, and '
                     'whether their motion can determine an extrinsic.')
-    parser.add_argument('paths', metavar='PATH', nargs='+', type=Path, help='bag or file')
+    parser.add_argument('paths', metavar='PATH', nargs='*', type=Path, help='bag or file')
+    # The other commands take bags so.
+    parser.add_argument(
+        '--bag', metavar='BAG', action='append', default=[], type=Path, help='the same as PATH')
     parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
     add_file_arguments(parser)
     parser.set_defaults(run=run)
@@ -43,7 +46,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect each path and print what was found, then what could not be read."""
-    found = [_inspect(path, arguments) for path in arguments.paths]
+    paths = [*arguments.paths, *arguments.bag]
+    if not paths:
+        raise ConfigError('name a bag or a file')
+    found = [_inspect(path, arguments) for path in paths]
     inputs = [item for item in found if not isinstance(item, SourceError)]
     errors = [item for item in found if isinstance(item, SourceError)]
     if arguments.format == 'json' and inputs:

@@ -82,9 +82,8 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
     """Raise ConfigError where one of the files exists, unless it may be overwritten."""
     taken = [path for path in paths if path.is_file()]
     if taken and not force:
-        more = f' and {len(taken) - 1} more' if len(taken) > 1 else ''
-        raise ConfigError(
-            f'{taken[0]}{more} exists; give --force to overwrite, or another name')
+        exist = f'and {len(taken) - 1} more exist' if len(taken) > 1 else 'exists'
+        raise ConfigError(f'{taken[0]} {exist}; give --force to overwrite, or another name')
 
 
 def plot_paths(folder: Path | None) -> list[Path]:

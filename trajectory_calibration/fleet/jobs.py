@@ -110,7 +110,8 @@ def read_jobs(
 def _expand(pattern: str) -> list[str]:
     # In the order in which people count: run2 before run10.
     found = sorted(glob.glob(pattern, recursive=True), key=_natural)  # noqa: PTH207
-    return found or [pattern]
+    # A path that does not exist is a recording without an answer, a pattern without a match none.
+    return found or ([] if glob.has_magic(pattern) else [pattern])
 
 
 def _natural(text: str) -> list[tuple[int, str]]:
