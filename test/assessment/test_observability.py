@@ -27,6 +27,7 @@ from trajectory_calibration.simulation import (
 )
 from trajectory_calibration.time_alignment.pairing import associate
 
+pytestmark = pytest.mark.usefixtures('noise_identified_once')
 FLAT = Scenario(motion=Unicycle(ground=flat))
 SMALL = Noise(white=0.002, white_rotation=0.001)
 WALK = Noise(white=0.001, walk=0.02, walk_rotation=0.01)

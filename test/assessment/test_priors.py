@@ -27,6 +27,7 @@ from trajectory_calibration.simulation import (
     with_noise,
 )
 
+pytestmark = pytest.mark.usefixtures('noise_identified_once')
 FLAT = Scenario(motion=Unicycle(ground=flat))
 NOISY_FLAT = with_noise(FLAT, *[Noise(white=0.002, white_rotation=0.001)] * 2)
 

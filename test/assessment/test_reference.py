@@ -28,6 +28,7 @@ from trajectory_calibration.simulation import (
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.time_alignment.pairing import associate, associate_nearest
 
+pytestmark = pytest.mark.usefixtures('noise_identified_once')
 WALK = Noise(white=1e-4, walk=0.03, walk_rotation=0.01)
 RANDOM_WALK = with_noise(Scenario(), WALK, WALK)
 FIXED = ('B1', 'B2', 'B4', 'B8', 'B20', 'C5', 'C10')
@@ -81,6 +82,7 @@ def test_close_to_the_best_in_hindsight(solver, case):
     assert auto < 1.3 * min(fixed.values())
 
 
+@pytest.mark.statistical
 def test_short_motions_for_a_walk_long_ones_for_white_noise():
     """Of this walk B1 to B8 are equally good, to 2 %; B20 is 1.6 times worse, A 4 times.
 

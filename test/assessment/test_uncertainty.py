@@ -27,6 +27,7 @@ from trajectory_calibration.solvers.solution import Solution
 from trajectory_calibration.solvers.zhuang import linearise as zhuang
 from trajectory_calibration.time_alignment.pairing import associate
 
+pytestmark = pytest.mark.usefixtures('noise_identified_once')
 WALK = Noise(white=0.001, walk=0.02, walk_rotation=0.01)
 CASES = {'white': SCENARIOS['noise'], 'mixture': SCENARIOS['mixture'],
          'walk': with_noise(Scenario(), WALK, WALK), 'offroad': SCENARIOS['offroad']}

@@ -12,6 +12,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.solvers import load_solver, solver_info, SOLVER_NAMES
 from trajectory_calibration.time_alignment.pairing import associate
 
+pytestmark = pytest.mark.usefixtures('noise_identified_once')
 NOISE = (0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 CAMERA = se3.from_rotation_translation(
     [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.3, 0.05, -0.1])
