@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli.report import require_new
-from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
@@ -64,10 +64,7 @@ def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
         print('\n'.join(comparison.describe()), file=sys.stderr)
     if arguments.output is not None:
         folder: Path = arguments.output
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ResultError(f'{folder} cannot be made: {error.strerror or error}') from error
+        make_folder(folder, ResultError)
         write_text(folder / 'table.csv', to_csv(comparison), ResultError)
         write_text(folder / 'table.json', to_json(comparison) + '\n', ResultError)
         write_text(folder / 'fleet.html', fleet_page(comparison), ResultError)

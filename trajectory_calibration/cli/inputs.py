@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ def add_input_arguments(parser: argparse.ArgumentParser) -> None:
     for name in 'ab':
         group.add_argument(
             f'--frame-{name}', metavar='FRAME', help=f'name of the frame of sensor {name}')
-        group.add_argument(f'--format-{name}', choices=FORMATS, help=f'format of the file {name}')
+        group.add_argument(f'--format-{name}', dest=f'file_format_{name}', choices=FORMATS,
+                           help=f'format of the file {name}')
         group.add_argument(
             f'--times-{name}', type=Path, metavar='FILE',
             help=f'times of the poses of file {name}, one a line')
@@ -70,34 +72,36 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
 def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
     """Return what was given for sensor 'a' or 'b', or for all files alike ('')."""
     given = vars(arguments)
-    if not sensor:
-        return InputOptions(
-            None, given['invert'], given['file_format'], given['times'], given['columns'],
-            given['quaternion_order'], given['time_unit'])
-    shared = {}
-    for option, _ in _SHARED:
-        name = option.replace('-', '_')
-        own = given[f'{name}_{sensor}']
-        shared[name] = given[name] if own is None else own
-    return InputOptions(
-        given[f'frame_{sensor}'], given[f'invert_{sensor}'], given[f'format_{sensor}'],
-        given[f'times_{sensor}'], **shared)
+    values = {}
+    for item in fields(InputOptions):
+        own = given.get(f'{item.name}_{sensor}')
+        values[item.name] = given.get(item.name) if own is None else own
+    return InputOptions(**values)
 
 
-def load_pair(arguments: argparse.Namespace) -> tuple[Trajectory, Trajectory]:
-    """Read A and B as the options of ``add_input_arguments`` say."""
-    inputs = {f'sensor_{name}': (getattr(arguments, name), options_of(arguments, name))
-              for name in 'ab'}
-    if arguments.bag:
-        if all(Path(name).is_file() for name, _ in inputs.values()):
-            raise ConfigError(
-                f'--bag {arguments.bag[0]} is not used: {arguments.a} and {arguments.b} are '
-                'files. Leave out --bag, or name topics of the bag')
-        with progress_bar('reading') as progress:
-            a, b = load_inputs(inputs, arguments.bag, progress).values()
-    else:
+def load_pair(
+    arguments: argparse.Namespace, frames: tuple[str | None, str | None] = (None, None),
+) -> tuple[Trajectory, Trajectory]:
+    """Read A and B as the options of ``add_input_arguments`` say.
+
+    The names of ``frames`` are for files, which carry none.
+    """
+    inputs = {}
+    for name, frame in zip('ab', frames, strict=True):
+        options = options_of(arguments, name)
+        if not arguments.bag:
+            options = replace(options, frame=options.frame or frame)
+        inputs[f'sensor_{name}'] = getattr(arguments, name), options
+    if not arguments.bag:
         with running_clock('reading'):
             a, b = load_inputs(inputs).values()
+        return a, b
+    if all(Path(name).is_file() for name, _ in inputs.values()):
+        raise ConfigError(
+            f'--bag {arguments.bag[0]} is not used: {arguments.a} and {arguments.b} are files. '
+            'Leave out --bag, or name topics of the bag')
+    with progress_bar('reading') as progress:
+        a, b = load_inputs(inputs, arguments.bag, progress).values()
     return a, b
 
 

@@ -62,12 +62,6 @@ def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
     return CalibrationConfig.from_dict(values)
 
 
-def require_two(a: str, b: str) -> None:
-    """Raise ConfigError where A and B, files or topics, are one."""
-    if a == b:
-        raise ConfigError(f'A and B are both {a}; needed two sensors')
-
-
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     # argparse expands % in a help text.
     text = f'{option.help} (default: {option.default})'.replace('%', '%%')

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 import shlex
 import sys
@@ -15,7 +15,7 @@ from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -56,11 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = CalibrationResult.load(arguments.result)
     page = arguments.output or arguments.result.with_suffix('.html')
     require_new([page, *plot_paths(arguments.plots)], force=arguments.force)
-    # Files carry no frame names: those of the saved result are what a person means.
-    for name in 'ab':
-        if not arguments.bag and getattr(arguments, f'frame_{name}') is None:
-            setattr(arguments, f'frame_{name}', getattr(result, f'frame_{name}'))
-    a, b = load_pair(arguments)
+    a, b = load_pair(arguments, (result.frame_a, result.frame_b))
     truth = read_truth(arguments.ground_truth, result.frame_a, result.frame_b)
     for path in write_pages(result, a, b, truth, arguments, page):
         print(f'wrote {path}')
@@ -107,7 +103,7 @@ def write_pages(
     with running_clock('writing the report'):
         data = report_data(result, a, b, truth)
         if page is not None:
-            _write(page, render(data, record_of(arguments)))
+            _write(page, render(data, record_of(arguments, _inputs(arguments))))
             written.append(page)
         if arguments.plots is not None:
             from trajectory_calibration.outputs.plots import save_plots
@@ -123,22 +119,22 @@ def write_failure(
     """Write the page of a calibration without an answer."""
     from trajectory_calibration.outputs.report import render_failure
     _write(arguments.report, render_failure(
-        str(error), trajectories, config=config, record=record_of(arguments)))
+        str(error), trajectories, config=config,
+        record=record_of(arguments, _inputs(arguments))))
 
 
-def record_of(arguments: argparse.Namespace) -> Record:
+def record_of(arguments: argparse.Namespace, inputs: Sequence[tuple[str, Path]]) -> Record:
     """Return the command line and the hashes of the inputs."""
     from trajectory_calibration.outputs.report import hash_inputs, Record
-    inputs = [('bag', Path(bag)) for bag in arguments.bag]
-    inputs += [(name, Path(getattr(arguments, name))) for name in 'ab'
-               if Path(getattr(arguments, name)).is_file()]
-    command = shlex.join(['trajectory_calibration', *arguments.argv])
-    return Record(command, hash_inputs(inputs))
+    return Record(shlex.join(['trajectory_calibration', *arguments.argv]), hash_inputs(inputs))
+
+
+def _inputs(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
+    return [('bag', Path(bag)) for bag in arguments.bag] + [
+        (name, Path(getattr(arguments, name))) for name in 'ab'
+        if Path(getattr(arguments, name)).is_file()]
 
 
 def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+    make_folder(path.parent, ResultError)
     write_text(path, text, ResultError)

@@ -9,14 +9,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 import json
 from pathlib import Path
-import shlex
 import sys
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.cli.report import require_new
-from trajectory_calibration.config.yaml_file import to_yaml, write_text
+from trajectory_calibration.cli.report import record_of, require_new
+from trajectory_calibration.config.yaml_file import make_folder, to_yaml, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -106,11 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
         with running_clock('calibrating'):
             rig = calibrate_rig(trajectories, config)
     if arguments.output is not None:
-        try:
-            arguments.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ResultError(
-                f'{arguments.output} cannot be written: {error.strerror or error}') from error
+        make_folder(arguments.output, ResultError)
         rig.save(arguments.output / RIG_FILE)
         write_rig_exports(rig, arguments.output)
     if arguments.report is not None:
@@ -142,11 +137,9 @@ def _write_report(
     rig: RigResult, trajectories: Mapping[str, Trajectory], sources: list[tuple[str, Path]],
     arguments: argparse.Namespace,
 ) -> None:
-    from trajectory_calibration.outputs.report import hash_inputs, Record
     from trajectory_calibration.outputs.rig_report import render_rig
-    command = shlex.join(['trajectory_calibration', *arguments.argv])
     with running_clock('writing the report'):
-        text = render_rig(rig, trajectories, Record(command, hash_inputs(sources)))
+        text = render_rig(rig, trajectories, record_of(arguments, sources))
     write_text(arguments.report, text, ResultError)
 
 

@@ -12,6 +12,7 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.config.yaml_file import make_folder
 from trajectory_calibration.errors import ConfigError, counted, SourceError
 
 if TYPE_CHECKING:
@@ -147,10 +148,7 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     """Write the files; return the command that calibrates them."""
     from trajectory_calibration.simulation.files import write_bag, write_transform, write_tum
     folder: Path = arguments.output
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SourceError(f'{folder} cannot be made: {error.strerror or error}') from error
+    make_folder(folder, SourceError)
     truth = folder / 'truth.tum'
     if arguments.format == 'tum':
         inputs: list[Path | str] = [folder / 'a.tum', folder / 'b.tum']

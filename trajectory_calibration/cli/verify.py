@@ -36,12 +36,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Verify and print the verdict."""
     result = CalibrationResult.load(arguments.result)
-    # Files carry no frame names: those of the saved result are what a person means.
-    for name in 'ab':
-        if not arguments.bag and getattr(arguments, f'frame_{name}') is None:
-            setattr(arguments, f'frame_{name}', getattr(result, f'frame_{name}'))
     config = _config(result.config, arguments)
-    a, b = load_pair(arguments)
+    a, b = load_pair(arguments, (result.frame_a, result.frame_b))
     with running_clock('verifying'):
         found = verify(result, a, b, config)
     if arguments.format == 'json':

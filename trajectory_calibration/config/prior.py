@@ -56,11 +56,6 @@ class Prior:
         return se3.step_between(
             T_a_b, se3.from_rotation_translation(self.rotation, self.translation))
 
-    def translation_std_along(self, axis: FloatArray) -> float:
-        """Return how well, in metres, a shift along a (3,) unit vector in a is known."""
-        return float(1.0 / np.sqrt(max(
-            np.sum((axis / np.maximum(self.translation_std, FIXED))**2), 1e-300)))
-
 
 def parse_prior(
     translation: str, translation_std: str, rotation_rpy_deg: str, rotation_std_deg: str,

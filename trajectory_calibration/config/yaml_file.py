@@ -159,6 +159,14 @@ def _require_absent(path: Path) -> None:
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
+def make_folder(path: Path, error: type[CalibrationError]) -> None:
+    """Make a folder and those above it; raise ``error`` where that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise error(f'{path} cannot be made: {cause.strerror or cause}') from cause
+
+
 def write_text(path: Path, text: str, error: type[CalibrationError]) -> None:
     """Write UTF-8 over what is at ``path``; raise ``error`` where it cannot be written."""
     try:

@@ -17,7 +17,7 @@ import re
 from typing import Any
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.config.yaml_file import make_folder, read_yaml, write_yaml
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import Entry, short_names
 from trajectory_calibration.fleet.executor import Executor
@@ -228,10 +228,7 @@ def run_jobs(
         The folder cannot be written.
 
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ResultError(f'{folder} cannot be made: {error.strerror or error}') from error
+    make_folder(folder, ResultError)
     waiting: list[Job] = []
     done = 0
     for job in jobs:
