@@ -72,7 +72,7 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
 def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
     """Return what was given for sensor 'a' or 'b', or for all files alike ('')."""
     given = vars(arguments)
-    values = {}
+    values: dict[str, Any] = {}
     for item in fields(InputOptions):
         own = given.get(f'{item.name}_{sensor}')
         values[item.name] = given.get(item.name) if own is None else own

@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from trajectory_calibration.sources.topics import TopicTrack
 
 
-# Pairs of frames that are described in full; the others are named.
-_MOST_PAIRS = 6
-
-
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
@@ -92,7 +88,8 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
     from trajectory_calibration.sources.cdr import TF
     with open_bags([path]) as reader, progress_bar('reading') as progress:
         tree = reader.transforms()
-        names = [*reader.serving, *(f'{TF_PREFIX}{a}.{b}' for a, b in tree.pairs()[:_MOST_PAIRS])]
+        # Six pairs of frames are described in full; the others are named.
+        names = [*reader.serving, *(f'{TF_PREFIX}{a}.{b}' for a, b in tree.pairs()[:6])]
         tracks = reader.read(names, progress)
         others = [
             {'topic': channel.topic, 'msgtype': channel.msgtype, 'messages': channel.messages,

@@ -77,10 +77,8 @@ def parse_prior(
         raise ConfigError(
             f'prior_rotation is {rotation_rpy_deg!r}, needed roll, pitch and yaw: they mean '
             'nothing one without the other; open an axis in prior_rotation_std')
-    roll, pitch, yaw = (
-        se3.exp_so3(np.deg2rad(angle) * axis)
-        for angle, axis in zip(np.nan_to_num(angles), np.eye(3), strict=True))
-    return Prior(np.nan_to_num(t), t_std, yaw @ pitch @ roll, np.deg2rad(angle_std))
+    R = se3.rotation_from_roll_pitch_yaw(np.deg2rad(np.nan_to_num(angles)))
+    return Prior(np.nan_to_num(t), t_std, R, np.deg2rad(angle_std))
 
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:

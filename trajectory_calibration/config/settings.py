@@ -24,9 +24,6 @@ from trajectory_calibration.solvers import (
     solvers_that_estimate,
 )
 
-# More than a float holds, and than Python writes.
-_MOST_BITS = 1000
-
 
 @dataclass(frozen=True)
 class Option:
@@ -59,7 +56,8 @@ class Option:
         Numbers of NumPy, which registers its types as these, become Python's own. A number for
         a text is its text: YAML and ROS make one of what a person types as '0.01'.
         """
-        if isinstance(value, int) and value.bit_length() > _MOST_BITS:
+        # More than a float holds, and than Python writes.
+        if isinstance(value, int) and value.bit_length() > 1000:
             raise ConfigError(f'{self.name} is an integer of too many digits')
         number = {float: Real, int: Integral}.get(self.kind)
         if number is not None and isinstance(value, number) and not isinstance(value, bool):

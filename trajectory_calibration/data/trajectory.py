@@ -26,10 +26,6 @@ ROTATION_TOLERANCE = 1e-2
 # enough that squares and differences keep their digits in all that follows.
 MAX_POSITION = 1e9
 
-_YEAR_NS = 365.25 * 86400e9
-# Seconds that int64 holds as nanoseconds.
-_MOST_SECONDS = 9.2e9
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -163,8 +159,8 @@ class Trajectory:
 
         """
         time = _real_numbers(seconds, 'seconds', 'one per pose')
-        # Written so that NaN fails.
-        if not (np.abs(time) < _MOST_SECONDS).all():
+        # What int64 holds as nanoseconds; written so that NaN fails.
+        if not (np.abs(time) < 9.2e9).all():
             raise TrajectoryError(
                 'seconds are not finite or beyond the year 2262; are they in another unit?')
         return cls.from_quaternions(np.rint(time * 1e9).astype(np.int64), positions,
@@ -284,8 +280,8 @@ def _checked_stamps(
         span = int(stamps_ns.max()) - int(stamps_ns.min())
         if span > np.iinfo(np.int64).max:
             raise TrajectoryError(
-                f'the stamps reach over {span / _YEAR_NS:.0f} years, needed less than 292; remove '
-                'the strays, or is the unit nanoseconds?')
+                f'the stamps reach over {span / (365.25 * 86400e9):.0f} years, needed less than '
+                '292; remove the strays, or is the unit nanoseconds?')
     later, earlier = stamps_ns[1:], stamps_ns[:-1]
     if np.all(later > earlier):
         return stamps_ns, None, []

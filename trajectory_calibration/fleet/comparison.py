@@ -34,14 +34,6 @@ from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM,
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 
-# Results from which on the steps between neighbours say how large the errors really are.
-_ENOUGH_FOR_NOISE = 6
-
-_MINUTE_NS = 60 * 10**9
-
-# Errors beyond this many of their stated deviations are no noise: no mean is formed.
-_INCONSISTENT = 2.0
-
 
 @dataclass(frozen=True, eq=False)
 class Entry:
@@ -211,7 +203,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
 
     """
     ordered = sorted(entries, key=lambda entry: (
-        (entry.result.start_ns or 0) // _MINUTE_NS if entry.result is not None
+        (entry.result.start_ns or 0) // (60 * 10**9) if entry.result is not None
         else float('inf')))
     answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
     if len(answers) < 2:
@@ -244,7 +236,8 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         difference((one.T_a_b, one.covariance), (two.T_a_b, two.covariance), config,
                    probability / (len(results) - 1))
         for one, two in pairwise(stretches))
-    if noise_ratio > _INCONSISTENT and not changes:
+    # Errors beyond twice their stated deviations are no noise: no mean is formed.
+    if noise_ratio > 2 and not changes:
         stretches = []
     return Comparison(tuple(ordered), tuple(stretches), changes, chi_squared, max(dof, 1),
                       noise_ratio)
@@ -269,7 +262,8 @@ def _noise_ratio(
 
     The median over the steps between neighbours: a few changes do not move it.
     """
-    if len(results) < _ENOUGH_FOR_NOISE:
+    # Fewer neighbours do not say how large the errors really are.
+    if len(results) < 6:
         return 1.0
     ratios = []
     for k in range(len(results) - 1):

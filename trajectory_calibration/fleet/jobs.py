@@ -170,8 +170,7 @@ def _check(given: Mapping[Any, Any], path: Path) -> None:
             zero = kind is str and isinstance(text, str) and '\0' in text
             if zero or not (text is None or isinstance(text, kind)):
                 raise ConfigError(
-                    f'{path}: {key} is {value!r}, needed '
-                    f'{_KINDS[kind]}')
+                    f'{path}: {key} is {value!r}, needed {_KINDS[kind]}')
 
 
 def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:

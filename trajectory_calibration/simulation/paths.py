@@ -132,7 +132,8 @@ class Wander:
 
         def path(times: FloatArray) -> FloatArray:
             waves = scale * np.sin(omega * times[:, None, None] + phase).sum(axis=-1)
-            return se3.from_rotation_translation(_rotations(*waves[:, 3:].T), waves[:, :3])
+            R = se3.rotation_from_roll_pitch_yaw(waves[:, 3:])
+            return se3.from_rotation_translation(R, waves[:, :3])
 
         return path
 
@@ -149,17 +150,10 @@ def _standing(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> 
 def _published(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> FloatArray:
     """Return the (N, 3, 3) rotations of the paper's published trajectories."""
     pitch, roll, _ = np.arcsin(_normal(slope_x, slope_y)).T
-    return np.swapaxes(_rotations(roll, pitch, heading), -1, -2)
+    R = se3.rotation_from_roll_pitch_yaw(np.column_stack([roll, pitch, heading]))
+    return np.swapaxes(R, -1, -2)
 
 
 def _normal(slope_x: FloatArray, slope_y: FloatArray) -> FloatArray:
     normal = np.column_stack([-slope_x, -slope_y, np.ones(len(slope_x))])
     return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
-
-
-def _rotations(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Return the (N, 3, 3) rotations ``Rz(yaw) Ry(pitch) Rx(roll)`` of (N,) angles."""
-    R_x, R_y, R_z = (
-        se3.exp_so3(angle[:, None] * axis)
-        for angle, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
-    return R_z @ R_y @ R_x

@@ -126,11 +126,11 @@ class BagReader:
     @property
     def serving(self) -> list[str]:
         """Return the topics that can serve as a trajectory."""
-        types: dict[str, set[tuple[bool, str]]] = {}
+        types: dict[str, set[str]] = {}
         for channel in self.channels:
-            can = channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE
-            types.setdefault(channel.topic, set()).add((can, channel.msgtype))
-        return [topic for topic, found in types.items() if len(found) == 1 and min(found)[0]]
+            types.setdefault(channel.topic, set()).add(
+                channel.msgtype if _can_serve(channel) else '')
+        return [topic for topic, found in types.items() if len(found) == 1 and '' not in found]
 
     def read(
         self, names: Sequence[str], progress: Progress | None = None,
@@ -175,12 +175,19 @@ class BagReader:
         """Read all bags once."""
         wanted = {**types, **dict.fromkeys(transforms, TF)}
         total = sum(channel.messages for channel in self.channels if channel.topic in wanted)
-        meter = _Meter(progress, total)
+        count = 0
+
+        def step(messages: int) -> None:
+            nonlocal count
+            count += messages
+            if progress is not None:
+                progress(min(count, total), total)
+
         parts: dict[str, list[tuple[str, TopicTrack]]] = {topic: [] for topic in types}
         tf: list[TransformCollector] = []
         for bag in self._bags:
             for item in bag.files:
-                for topic, collector in item.read(wanted, meter).items():
+                for topic, collector in item.read(wanted, step).items():
                     if isinstance(collector, TransformCollector):
                         tf.append(collector)
                     else:
@@ -227,14 +234,17 @@ class BagReader:
         serving = [
             f'{channel.topic} ({channel.msgtype.split("/")[-1]}, '
             f'{counted(channel.messages, "message")})'
-            for channel in self.channels
-            if channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE]
+            for channel in self.channels if _can_serve(channel)]
         if self._transform_topics(required=False):
             serving.append('tf:PARENT.CHILD (inspect lists the frames)')
         names = ', '.join(str(item.bag.path) for item in self._bags)
         notes = f'; {"; ".join(self.notes)}' if self.notes else ''
         return TopicError(f'{names}: {found}; topics that can serve: '
                           f'{", ".join(serving) or "none"}{notes}')
+
+
+def _can_serve(channel: Channel) -> bool:
+    return channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE
 
 
 @dataclass
@@ -260,7 +270,7 @@ class _OpenFile:
         self._stack.close()
 
     def read(
-        self, types: dict[str, str], meter: _Meter,
+        self, types: dict[str, str], step: Callable[[int], None],
     ) -> dict[str, TopicCollector | TransformCollector]:
         """Return what the file holds of some topics."""
         if self.storage is None:
@@ -271,7 +281,7 @@ class _OpenFile:
         for batch in self.storage.messages(types.keys()):
             if batch.channel.msgtype == types[batch.channel.topic]:
                 collectors[batch.channel.topic].add(unpacked(batch))
-                meter.step(len(batch.messages))
+                step(len(batch.messages))
         self.damage = self.storage.damage
         return collectors
 
@@ -319,15 +329,3 @@ class _OpenBag:
         if any(item.damage for item in self.files) and not known:
             return [f'{self.bag.path}: read {counted(read, "message")} of an unknown number']
         return []
-
-
-class _Meter:
-    """Counts messages and reports now and then."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self._progress, self._total, self._count = progress, total, 0
-
-    def step(self, count: int) -> None:
-        self._count += count
-        if self._progress is not None:
-            self._progress(min(self._count, self._total), self._total)

@@ -48,10 +48,6 @@ POSE_TYPES = tuple(_REST)
 TRAJECTORY_TYPES = (*POSE_TYPES, PATH)
 
 _POSE_BYTES = 56
-# A pose with its header is no shorter: what declares more of them than fit is damaged.
-_SHORTEST_POSE = 8 + 4 + _POSE_BYTES
-# Bytes that a writer may append to a message to fill a word.
-_MAX_PADDING = 3
 # Groups of equal messages that are looked for in a block; the rest is read one by one.
 _MAX_GROUPS = 8
 
@@ -271,8 +267,8 @@ class _Fields:
 
     @property
     def ended(self) -> bool:
-        """Whether nothing is left but padding."""
-        return 0 <= len(self._message) - self.offset <= (0 if self._ros1 else _MAX_PADDING)
+        """Whether nothing is left but padding, with which a writer may fill a word."""
+        return 0 <= len(self._message) - self.offset <= (0 if self._ros1 else 3)
 
     def pose(self, *, child: bool) -> _Place:
         """Pass a header, the name of a child, and a pose."""
@@ -290,7 +286,8 @@ class _Fields:
         start = self._pass(4, 4)
         self.deciding.append(slice(start, start + 4))
         (count,) = struct.unpack_from(f'{self.order}I', self._message, start)
-        if count * _SHORTEST_POSE > len(self._message):
+        # A stamp, a length of a name and the numbers are the shortest pose.
+        if count * (8 + 4 + _POSE_BYTES) > len(self._message):
             raise ValueError('more than fit')
         return int(count)
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 from trajectory_calibration.errors import SourceError
 
 _OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
-_LONGEST_REASON = 120
 
 
 class Channel(NamedTuple):
@@ -72,7 +71,7 @@ def border(note: Callable[[str], None]) -> Iterator[None]:
     except SourceError:
         raise
     except Exception as error:  # noqa: BLE001
-        note((str(error).splitlines() or [type(error).__name__])[0][:_LONGEST_REASON])
+        note((str(error).splitlines() or [type(error).__name__])[0][:120])
 
 
 def plain_type(msgtype: str) -> str:

@@ -17,8 +17,6 @@ from trajectory_calibration.geometry.se3 import FloatArray
 # An edge is silent where it pauses for longer than this, and than ten of its usual steps.
 _GAP_NS = 1_000_000_000
 _GAP_FACTOR = 10
-# Time that runs backwards by more than this began anew; by less, messages changed places.
-_RESTART_NS = 1_000_000_000
 
 
 @dataclass(eq=False)
@@ -88,7 +86,8 @@ class Edge:
         stamps_ns, poses = self.samples
         if np.all(stamps_ns[1:] > stamps_ns[:-1]):
             return stamps_ns, poses
-        restarts = np.flatnonzero(np.diff(stamps_ns) < -_RESTART_NS) + 1
+        # By more than a second time began anew; by less, messages changed places.
+        restarts = np.flatnonzero(np.diff(stamps_ns) < -1_000_000_000) + 1
         parts = np.split(np.arange(len(stamps_ns)), restarts)
         longest = max(parts, key=len)
         if len(parts) > 1:
@@ -116,23 +115,19 @@ def covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[n
 def interpolated(
     stamps_ns: NDArray[np.int64], poses: FloatArray, at_ns: NDArray[np.int64],
 ) -> FloatArray:
-    """Return (M, 4, 4) poses at (M,) times within the (N,) stamps of (N, 7) poses."""
+    """Return (M, 4, 4) poses at (M,) times within the (N,) stamps of (N, 7) poses.
+
+    On the straight line in position and the great arc in orientation, as tf2 has it.
+    """
     right = np.searchsorted(stamps_ns, at_ns)
     left = np.searchsorted(stamps_ns, at_ns, side='right') - 1
     step = np.maximum(stamps_ns[right] - stamps_ns[left], 1)
     share = ((at_ns - stamps_ns[left]) / step)[:, None]
-    start, end = poses[left], poses[right]
-    mixed = np.empty_like(start)
-    mixed[:, :3] = (1.0 - share) * start[:, :3] + share * end[:, :3]
-    cosine = np.sum(start[:, 3:] * end[:, 3:], axis=1, keepdims=True)
-    toward = np.where(cosine < 0, -end[:, 3:], end[:, 3:])
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    # The arc between orientations that hardly differ is a straight line.
-    sine = np.where(angle > 1e-6, np.sin(angle), 1.0)
-    weight_start = np.where(angle > 1e-6, np.sin((1.0 - share) * angle) / sine, 1.0 - share)
-    weight_end = np.where(angle > 1e-6, np.sin(share * angle) / sine, share)
-    mixed[:, 3:] = weight_start * start[:, 3:] + weight_end * toward
-    return matrices(mixed)
+    start, end = matrices(poses[left]), matrices(poses[right])
+    R = start[:, :3, :3]
+    turn = se3.log_so3(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
+    return se3.from_rotation_translation(
+        R @ se3.exp_so3(share * turn), (1.0 - share) * start[:, :3, 3] + share * end[:, :3, 3])
 
 
 def matrices(poses: FloatArray) -> FloatArray:

@@ -111,7 +111,6 @@ class FileSource:
                 f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
                 'times as well, one a line: --times-a, --times-b (--times of inspect)')
         stamps_ns = stamps_ns[keep]
-        name = f'{self.sensor_frame}: {self.path}'
         require_own_stamps(stamps_ns, poses, str(self.path))
         try:
             if poses.ndim == 3:
@@ -121,7 +120,7 @@ class FileSource:
                 stamps_ns, poses[:, :3], poses[:, 3:], self.world_frame, self.sensor_frame,
                 tuple(raw.findings))
         except TrajectoryError as error:
-            raise SourceError(f'{name}: {error}') from error
+            raise SourceError(f'{self._name}: {error}') from error
 
     def describe(self) -> str:
         """Return how the file is read: its columns, or its format."""
@@ -328,9 +327,7 @@ def _poses(values: FloatArray, layout: Layout) -> FloatArray:
         T[:, :3, :3] = values[:, 3:].reshape(-1, 3, 3)
         return T
     angles = np.deg2rad(values[:, 3:]) if layout.degrees else values[:, 3:]
-    roll, pitch, yaw = (
-        se3.exp_so3(angles[:, [k]] * np.eye(3)[k]) for k in range(3))
-    T[:, :3, :3] = yaw @ pitch @ roll
+    T[:, :3, :3] = se3.rotation_from_roll_pitch_yaw(angles)
     return T
 
 

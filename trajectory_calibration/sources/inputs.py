@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
@@ -106,13 +107,7 @@ def _require_different(names: Sequence[str], *, topics: bool) -> None:
         for other in names[:k]:
             if name == other or (topics and name.lstrip('/') == other.lstrip('/')):
                 raise ConfigError(f'{name} is given twice; two sensors are needed')
-            if _same_file(name, other):
-                raise ConfigError(f'{other} and {name} are the same; two sensors are needed')
-
-
-def _same_file(a: str, b: str) -> bool:
-    try:
-        return Path(a).samefile(b)
-    except OSError:
-        # Reading it says what is wrong.
-        return False
+            # What is no file is no reason here: reading it says what is wrong.
+            with suppress(OSError):
+                if Path(name).samefile(other):
+                    raise ConfigError(f'{other} and {name} are the same; two sensors are needed')

@@ -25,9 +25,8 @@ TIME_UNITS = {'s': 0, 'ms': 3, 'us': 6, 'ns': 9}
 _TOLERANCE = 1e-2
 # Share of the rows that must fit; the others are what a SLAM writes while it is lost.
 _MOST = 0.7
-# Steps in nanoseconds are longer, numbers of frames rise by less.
-_STEP_NS = 1e5
 _TUM = 't,x,y,z,qx,qy,qz,qw'
+_ROTATION = tuple(f'r{i}{j}' for i in '123' for j in '123')
 
 
 @dataclass(frozen=True)
@@ -213,7 +212,8 @@ def _nanoseconds(sample: FloatArray) -> bool:
     if not (time == np.rint(time)).all():
         return False
     step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
-    return bool(time[0] >= 1e17 or step >= _STEP_NS)
+    # Numbers of frames rise by less.
+    return bool(time[0] >= 1e17 or step >= 1e5)
 
 
 def _candidates(width: int, *, timed: bool) -> list[Layout]:
@@ -300,31 +300,25 @@ def _names(layout: Layout) -> str:
         names.update({layout.time: 'sec', layout.nanoseconds: 'nsec'})
     names.update(zip(layout.position, 'xyz', strict=False))
     names.update(zip(layout.quaternion, ('qx', 'qy', 'qz', 'qw'), strict=False))
-    names.update(zip(layout.rotation, (f'r{i}{j}' for i in '123' for j in '123'), strict=False))
+    names.update(zip(layout.rotation, _ROTATION, strict=False))
     names.pop(None, None)
     return ','.join(names.get(k, '-') for k in range(max(k for k in names if k is not None) + 1))
 
 
 def _layout(roles: dict[str, int], source: str, *, angles: bool = False) -> Layout | None:
     """Return the layout of named columns; None where they make no pose."""
-    position = tuple(roles[name] for name in ('x', 'y', 'z') if name in roles)
-    quaternion = tuple(roles[name] for name in ('qx', 'qy', 'qz', 'qw') if name in roles)
-    rotation = tuple(roles[name] for name in (f'r{i}{j}' for i in '123' for j in '123')
-                     if name in roles)
-    fourth = tuple(roles[name] for name in ('r14', 'r24', 'r34') if name in roles)
+    def columns(*names: str) -> tuple[int, ...]:
+        return tuple(roles[name] for name in names) if roles.keys() >= {*names} else ()
+
+    position = columns('x', 'y', 'z') or columns('r14', 'r24', 'r34')
     degrees = 'roll_deg' in roles
-    turned = tuple(roles[name] for name in (
-        f'{axis}{"_deg" * degrees}' for axis in ('roll', 'pitch', 'yaw')) if name in roles)
-    position = position if len(position) == 3 else fourth
-    if len(position) != 3 or not (len(quaternion) == 4 or len(rotation) == 9
-                                  or (angles and len(turned) == 3)):
+    # The first of these that is complete.
+    quaternion = columns('qx', 'qy', 'qz', 'qw')
+    rotation = () if quaternion else columns(*_ROTATION)
+    turned = () if quaternion or rotation or not angles else columns(
+        *(f'{axis}{"_deg" * degrees}' for axis in ('roll', 'pitch', 'yaw')))
+    if not position or not (quaternion or rotation or turned):
         return None
-    if len(quaternion) == 4:
-        rotation, turned = (), ()
-    elif len(rotation) == 9:
-        quaternion, turned = (), ()
-    else:
-        quaternion, rotation = (), ()
     unit = next((unit for unit in TIME_UNITS if f't_{unit}' in roles), None)
     time = roles.get('t', roles.get(f't_{unit}'))
     nanoseconds = None
@@ -349,9 +343,7 @@ _SECONDS = {'sec', 'secs', 'second', 'seconds'}
 _NANOSECONDS = {'nsec', 'nsecs', 'nanosec', 'nanosecs', 'nanosecond', 'nanoseconds', 'nanos'}
 _UNITS = {'s': 's', 'sec': 's', 'secs': 's', 'seconds': 's', 'ms': 'ms', 'msec': 'ms', 'us': 'us',
           'usec': 'us', 'ns': 'ns', 'nsec': 'ns', 'nanosec': 'ns'}
-_NUMBERS = {'frame', 'frameid', 'index', 'idx'}
 _JOINED = re.compile(r'(p|t|pos|position|trans|translation|q|quat|quaternion|orientation)([xyzw])')
-_MATRIX = re.compile(r'[rm]_?([1-3])_?([1-4])')
 
 
 def _role(name: str) -> str | None:
@@ -375,7 +367,7 @@ def _role(name: str) -> str | None:
                                             and last in ('deg', 'rad')):
         axis = last if last in ('roll', 'pitch', 'yaw') else words[0]
         return f'{axis}_deg' if 'deg' in (last, unit[:3]) else axis
-    if matrix := _MATRIX.fullmatch('_'.join(words)):
+    if matrix := re.fullmatch(r'[rm]_?([1-3])_?([1-4])', '_'.join(words)):
         return f'r{matrix[1]}{matrix[2]}'
     if joined := _JOINED.fullmatch(last):
         words[-1:] = joined.groups()
@@ -385,4 +377,5 @@ def _role(name: str) -> str | None:
         if kind & _OF_QUATERNION or last == 'w':
             return f'q{last}'
         return last if not kind or kind & _OF_POSITION else None
-    return 'number' if words[0] in _NUMBERS and len(words) <= 2 else None
+    is_number = words[0] in ('frame', 'frameid', 'index', 'idx') and len(words) <= 2
+    return 'number' if is_number else None

@@ -18,8 +18,6 @@ _MAGIC = b'\x89MCAP0\r\n'
 _FOOTER = 0x02
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
 _CHUNK_INDEX, _STATISTICS, _DATA_END = 0x08, 0x0B, 0x0F
-# Opcodes from here on are for extensions.
-_PRIVATE = 0x80
 _HEAD = struct.Struct('<BQ')
 _MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 _FOOTER_BYTES = 29
@@ -109,7 +107,8 @@ class McapFile(RecordFile):
             if opcode in (_DATA_END, _FOOTER):
                 return
             whole = end <= last or opcode == _CHUNK
-            if 0 < opcode < _DATA_END or opcode >= _PRIVATE:
+            # From 0x80 on, opcodes are for extensions.
+            if 0 < opcode < _DATA_END or opcode >= 0x80:
                 if whole:
                     yield opcode, offset, min(end, last)
                 if end <= last:

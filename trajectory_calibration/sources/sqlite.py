@@ -21,10 +21,6 @@ from trajectory_calibration.sources.channels import (
 
 # Few enough rows for the cache; enough messages to make NumPy's overhead vanish.
 _BLOCK, _BATCH = 256, 4096
-# Bytes that are mapped, not read.
-_MAPPED = 2**31
-# Rows without one that can be read, in a row, after which there are none left.
-_LONGEST_STRIDE = 2**32
 
 
 class SqliteFile(Storage):
@@ -41,7 +37,7 @@ class SqliteFile(Storage):
             # Without it, sqlite refuses a file that is shorter than its header says. The file
             # is open read-only: nothing is written.
             self._connection.execute('PRAGMA writable_schema = ON')
-            self._connection.execute(f'PRAGMA mmap_size = {_MAPPED}')
+            self._connection.execute('PRAGMA mmap_size = 2147483648')
             self._topics = {
                 topic_id: Channel(str(name), plain_type(str(msgtype)), 0, str(encoding))
                 for topic_id, name, msgtype, encoding in self._connection.execute(
@@ -96,7 +92,8 @@ class SqliteFile(Storage):
         """Yield topics, times and messages, stepping over damaged pages by ever longer strides."""
         after, stride, size = 0, 1, _BLOCK
         wanted = json.dumps(topic_ids)
-        while stride < _LONGEST_STRIDE:
+        # Behind so many rows of which none can be read, there are none left.
+        while stride < 2**32:
             try:
                 cursor = self._connection.execute(
                     'SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id '

@@ -18,7 +18,6 @@ from trajectory_calibration.sources.text import refuse_pointer
 _STORAGE_SUFFIXES = ('.mcap', '.db3')
 _PACKED_SUFFIXES = ('.zstd', '.zst')
 _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
-_SOME = 9
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def open_storage(path: Path, *, count: bool) -> Storage:
 def unpacked(batch: Batch) -> Batch:
     """Return the messages as they were before the recorder compressed each of them."""
     # A recorder compresses all of them; a damaged one must not hide that.
-    some = batch.messages[:_SOME]
+    some = batch.messages[:9]
     if batch.channel.encoding != 'cdr' or not any(
             message.startswith(ZSTD_MAGIC) for message in some):
         return batch

@@ -16,13 +16,12 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.numbers import Numbers
+from trajectory_calibration.sources.numbers import is_number, Numbers
 from trajectory_calibration.sources.text import Table
 from trajectory_calibration.sources.times import stamps_in_names
 
 STRUCTURED = ('g2o', 'colmap', 'nerfstudio', 'npy')
 _COLMAP_COLUMNS = 10
-_VERTEX = b'VERTEX_SE3:QUAT'
 
 
 @dataclass(eq=False)
@@ -123,7 +122,7 @@ def structure_of(path: Path, beginning: bytes) -> str | None:
 
 def read_g2o(path: Path, data: bytes) -> RawPoses:
     """Return the vertices of a pose graph; their ids are numbers of frames."""
-    lines = [line for line in data.split(b'\n') if line.startswith(_VERTEX)]
+    lines = [line for line in data.split(b'\n') if line.startswith(b'VERTEX_SE3:QUAT')]
     if not lines:
         planar = ': poses in the plane cannot serve' if b'VERTEX_SE2' in data else ''
         raise SourceError(f'{path} holds no VERTEX_SE3:QUAT{planar}')
@@ -144,7 +143,7 @@ def read_colmap(path: Path, data: bytes) -> RawPoses:
     for line in data.split(b'\n'):
         words = line.split(None, _COLMAP_COLUMNS - 1)
         if line.startswith(b'#') or len(words) < _COLMAP_COLUMNS or (
-                _is_float(words[-1].split()[0])):
+                is_number(words[-1].split()[0].decode('latin-1'))):
             continue
         rows.append(b' '.join(words[1:8]))
         names.append(words[-1].decode('utf-8', errors='replace').strip())
@@ -191,11 +190,3 @@ def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
 def _square(matrix: Any) -> list[list[float]]:
     """Return a matrix with its last row."""
     return [*matrix, [0.0, 0.0, 0.0, 1.0]] if len(matrix) == 3 else matrix
-
-
-def _is_float(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

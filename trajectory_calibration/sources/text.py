@@ -27,7 +27,6 @@ _LFS = b'version https://git-lfs.github.com/spec/'
 _COMMENTS = (b'#', b'%', b'//')
 # How XML and JSON begin.
 _FOREIGN = re.compile(rb'\s*(<|\[?\s*\{)')
-_UNTIL_TOO_LONG = 60
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
 # Bytes that are read at once, which the caches of a processor hold.
@@ -216,7 +215,7 @@ def refuse_pointer(path: Path, data: bytes) -> None:
 def shown(text: str | bytes) -> str:
     """Return the beginning of a text in quotes."""
     words = text.decode('utf-8', errors='replace') if isinstance(text, bytes) else text
-    return repr(words[:_UNTIL_TOO_LONG] + '...' if len(words) > _UNTIL_TOO_LONG else words)
+    return repr(words[:60] + '...' if len(words) > 60 else words)
 
 
 def _headings(data: bytes) -> tuple[list[str], int, int]:

@@ -23,14 +23,6 @@ from trajectory_calibration.sources.text import read_bytes, Table
 _EPOCHS = (('ns', 1e17), ('us', 1e14), ('ms', 1e11))
 # What a second has of nanoseconds, microseconds or milliseconds.
 _PARTS = (9, 6, 3)
-_DATE = re.compile(rb'\d{4}-\d\d-\d\d[ T]')
-# Steps that are this much more even speak for a reading of the times.
-_MUCH_MORE_EVEN = 3.0
-# Share of the rows that may repeat the time of another with another pose.
-_MOST_SHARED = 0.1
-_LARGEST_NUMBER = 1e7
-# Rows below which whole seconds are no reason to ask.
-_FEWEST = 10
 
 Stamps = NDArray[np.int64]
 
@@ -71,7 +63,7 @@ def _is_better(new: Stamps, old: Stamps) -> bool:
         return False
     uneven_new, uneven_old = (
         float(np.mean(np.abs(steps - np.median(steps)))) for steps in (steps_new, steps_old))
-    return bool((steps_old <= 0).any()) or uneven_old > _MUCH_MORE_EVEN * uneven_new
+    return bool((steps_old <= 0).any()) or uneven_old > 3 * uneven_new
 
 
 def require_own_stamps(
@@ -89,7 +81,7 @@ def require_own_stamps(
     ordered, rows = stamps_ns[order], poses[order].reshape(count, -1)
     shared = (ordered[1:] == ordered[:-1]) & (rows[1:] != rows[:-1]).any(axis=1)
     found = int(np.count_nonzero(shared))
-    if found < 2 or found <= _MOST_SHARED * count:
+    if found < 2 or found <= 0.1 * count:
         return
     distinct = np.unique(stamps_ns)
     if len(distinct) == 1:
@@ -106,8 +98,9 @@ def require_own_stamps(
 def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> list[Finding]:
     """Return a question where the times, read as seconds, look like numbers of frames."""
     steps = np.diff(stamps_ns)
-    if len(stamps_ns) < _FEWEST or (steps <= 0).any() or stamps_ns[0] < 0 or (
-            stamps_ns[-1] > _LARGEST_NUMBER * 1e9):
+    # Fewer poses, or seconds since 1970, are no reason to ask.
+    if len(stamps_ns) < 10 or (steps <= 0).any() or stamps_ns[0] < 0 or (
+            stamps_ns[-1] > 1e7 * 1e9):
         return []
     # KISS-ICP writes 0.0000, 1.0000, ... where its data set has no times.
     counted_up = stamps_ns[0] in (0, 10**9) and (steps == 10**9).all()
@@ -137,7 +130,7 @@ def read_times(
     data = read_bytes(path)
     lines = [line.strip() for line in data.split(b'\n')
              if line.strip() and not line.lstrip().startswith((b'#', b'%'))]
-    if lines and _DATE.match(lines[0]):
+    if lines and re.match(rb'\d{4}-\d\d-\d\d[ T]', lines[0]):
         try:
             dates = np.array([line[:29].decode() for line in lines], dtype='datetime64[ns]')
         except ValueError as error:

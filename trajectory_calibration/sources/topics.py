@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +46,11 @@ class TopicTrack:
     msgtype: str
     messages: int
     unreadable: int
-    stamps_ns: NDArray[np.int64]
-    received_ns: NDArray[np.int64]
-    poses: FloatArray
-    frame_index: NDArray[np.intp]
-    frames: tuple[tuple[str, str], ...]
+    stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    received_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    poses: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
+    frame_index: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    frames: tuple[cdr.TwoFrames, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -221,8 +221,7 @@ class TopicCollector:
         path = None if self._path_message is None else cdr.parse_path(
             self._path_message, ros1=self._ros1)
         if path is None:
-            return TopicTrack(
-                self._topic, self._msgtype, self.count, min(self.count, 1), *_nothing(), ())
+            return TopicTrack(self._topic, self._msgtype, self.count, min(self.count, 1))
         count = len(path.poses)
         received_ns = np.full(count, self._path_received_ns)
         return TopicTrack(
@@ -318,8 +317,7 @@ def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicT
     messages, unreadable = (sum(part.messages for part in parts),
                             sum(part.unreadable for part in parts))
     if not filled:
-        return TopicTrack(
-            topic, msgtype, messages, unreadable, *_nothing(), (), notes=tuple(notes))
+        return TopicTrack(topic, msgtype, messages, unreadable, notes=tuple(notes))
     frames = tuple(dict.fromkeys(pair for part in filled for pair in part.frames))
     return TopicTrack(
         topic, msgtype, messages, unreadable,
@@ -345,12 +343,6 @@ def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
     poses = counted(sum(len(path.poses) for path in apart), 'pose')
     advice = 'only the last path is used; calibrate each bag by itself'
     return [f'{dropped} with {poses} of another time: dropped, {advice}']
-
-
-def _nothing() -> tuple[
-        NDArray[np.int64], NDArray[np.int64], FloatArray, NDArray[np.intp]]:
-    return (np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros((0, 7)),
-            np.zeros(0, dtype=np.intp))
 
 
 def _frame_names(frames: tuple[str, str]) -> str:

@@ -33,11 +33,6 @@ from trajectory_calibration.sources.edges import covered, Edge, interpolated, ma
 
 TF_PREFIX = 'tf:'
 
-# An edge that changes this share as often as the most frequent one may give the stamps.
-_AS_OFTEN = 0.8
-# Changes after which a follower decides which edge gives the stamps.
-_ENOUGH_CHANGES = 5
-
 
 class Link(NamedTuple):
     """One step of a chain: an edge, and whether it is taken from parent to child."""
@@ -200,7 +195,8 @@ class ChainFollower:
             links = self._tree.chain(self.parent, self.child)
             if self._stamps_of is None:
                 edge = stamp_edge(links)
-                if edge.changes < _ENOUGH_CHANGES:
+                # Until then it may be another one that changes most often.
+                if edge.changes < 5:
                     self.waiting_for = f'{edge} has hardly moved yet'
                     return nothing
                 self._stamps_of = edge
@@ -266,8 +262,9 @@ def stamp_edge(links: Sequence[Link]) -> Edge:
         chain = ', '.join(str(link.edge) for link in links)
         raise TopicError(f'nothing moves between these frames: {chain} never changed; name a pair '
                          'of frames that move in relation to each other')
+    # Of several that change about as often, the one next to the child.
     most = max(edge.changes for edge in moving)
-    return [edge for edge in moving if edge.changes >= _AS_OFTEN * most][-1]
+    return [edge for edge in moving if edge.changes >= 0.8 * most][-1]
 
 
 def _compose(

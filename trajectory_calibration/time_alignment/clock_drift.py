@@ -48,8 +48,6 @@ _USUAL, _ODDS = 2e-5, 1e4
 # Parts of the drive over which scores are summed for their variance; the mean of both.
 _BLOCKS = (20, 10)
 
-_QUARTERS = 4
-
 # More than this (s/s) no clock differs from another: daemons that steer one stop at 5e-4.
 _LARGEST = 1e-3
 
@@ -171,7 +169,7 @@ def _regress(
     n = basis.shape[1]
     squares = np.diag(white)[:n]
     # Quarters of the time are themselves what the blocks are compared within.
-    if n < _QUARTERS:
+    if n < 4:
         squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
     return step[:n], np.sqrt(np.maximum(squares, 0.0))
 

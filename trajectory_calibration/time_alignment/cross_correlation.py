@@ -35,8 +35,6 @@ _LEAST_OVERLAP = 0.3
 _TOLD_APART = 5.0
 # Of what a disagreement rises by to the next cells, this much is not known of its least.
 _BOTTOM_SHARE = 0.1
-# So many rivals of the best offset are given.
-_RIVALS = 6
 
 
 @dataclass(frozen=True)
@@ -116,7 +114,7 @@ def _rivals(
     near = least - _BOTTOM_SHARE * rise <= limit * chance_factor(samples[places], samples[best])
     found = places[near & (places != best)]
     distance = np.abs(lags.lags[found])
-    return [int(place) for place in found[np.argsort(distance, kind='stable')]][:_RIVALS]
+    return [int(place) for place in found[np.argsort(distance, kind='stable')]][:6]
 
 
 def _without_pauses(
