@@ -50,7 +50,7 @@ def _tracks(data: ReportData) -> str:
                  'small, smooth, growing slowly with the distance',
                  'steps (jumps) or a wave in step with each turn (wrong lever arm)')
         + figure('Distance over the path', draw.distance_over_path(data),
-                 f'{data.driven}.',
+                 f'Driven: {data.driven}.',
                  'growing slowly: ordinary drift', 'at once, where one SLAM lost its way')
         + figure('Difference of orientation', draw.angle_over_time(data),
                  f'Median {angle:.2g} deg, largest {float(tracks.angle_deg.max()):.2g} deg.',
