@@ -63,8 +63,8 @@ def save_plots(
     written = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, draw in _FIGURES.items():
-            figure = draw(data)
+        for name, drawn in _FIGURES.items():
+            figure = drawn(data)
             # Laid out once, not for each format.
             figure.draw_without_rendering()
             figure.set_layout_engine('none')
