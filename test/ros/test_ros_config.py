@@ -27,6 +27,12 @@ def interface(tmp_path_factory):
     with ros.running(tmp_path_factory.mktemp('interface')) as (_, client):
         client.wait(lambda: client.status('calibration') is not None, 'the node')
         owner = 'trajectory_calibration', client.namespace
+        # Its messages may arrive before the graph knows whose they are.
+        client.wait(lambda: owner in client.node.get_node_names_and_namespaces(),
+                    'the node in the graph')
+        client.wait(lambda: f'{client.namespace}/trajectory_calibration/calibrate' in {
+            name for name, _ in client.node.get_service_names_and_types_by_node(*owner)},
+            'its services')
         published = {name for name, _ in client.node.get_publisher_names_and_types_by_node(*owner)}
         served = {name for name, _ in client.node.get_service_names_and_types_by_node(*owner)}
     return ({name.removeprefix(client.namespace) for name in published},
