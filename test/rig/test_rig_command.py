@@ -174,8 +174,7 @@ def test_a_sensor_of_another_drive_is_open(folder, tmp_path, capsys):
 
 def test_a_sensor_that_was_not_compared_is_open(folder, capsys):
     (folder / 'two.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
-    assert main(['rig', str(folder / 'two.yaml'),
-                 '--verify', str(folder / 'out' / 'rig.yaml')]) == 3
+    assert main(['verify', str(folder / 'out' / 'rig.yaml'), str(folder / 'two.yaml')]) == 3
     assert 'not compared: rear' in capsys.readouterr().out
 
 

@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether a rig still holds, and who moved."""
 
+import csv
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -95,10 +99,38 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
         'sensors:\n' + ''.join(f'  {name}: {{file: {name}.tum}}\n' for name in 'abc'))
     assert main(['rig', str(tmp_path / 'RIG.yaml'), '--output', str(tmp_path)]) == 0
     saved = tmp_path / 'rig.yaml'
-    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--verify', str(saved)]) == 0
+    verify = ['verify', str(saved), str(tmp_path / 'RIG.yaml')]
+    assert main(verify) == 0
     assert 'the rig holds' in capsys.readouterr().out
+    assert main(['compare', str(saved), str(saved)]) == 0
+    assert 'holds' in capsys.readouterr().out
     data = RigResult.load(saved).to_dict()
     data['sensors']['b']['T_base_sensor']['translation'][0] += 0.1
-    RigResult.from_dict(data).save(saved)
-    assert main(['rig', str(tmp_path / 'RIG.yaml'), '--verify', str(saved)]) == 4
-    assert 'b moved by 10 cm' in capsys.readouterr().out
+    earlier = tmp_path / 'earlier.yaml'
+    RigResult.from_dict(data).save(earlier)
+    assert main(['verify', str(earlier), str(tmp_path / 'RIG.yaml')]) == 4
+    printed = capsys.readouterr().out
+    assert 'b moved by 10 cm' in printed
+    verdicts = {line.split()[0]: line.split()[-1] for line in printed.splitlines()[3:]}
+    assert verdicts == {'b': 'moved', 'c': 'holds'}
+    assert main([*verify, '--format', 'json']) == 0
+    assert json.loads(capsys.readouterr().out)['holds']
+    table = tmp_path / 'table'
+    compare = ['compare', str(earlier), str(saved), '--format', 'csv', '--output', str(table)]
+    assert main(compare) == 4
+    row = next(csv.DictReader((table / 'table.csv').open()))
+    assert row['sensor'] == 'b'
+    assert float(row['dx_m']) == pytest.approx(-0.1, abs=1e-9)
+    assert json.loads((table / 'table.json').read_text())['moved'] == ['b']
+
+
+@pytest.mark.parametrize('arguments', [
+    ['verify', 'rig.yaml', 'RIG.yaml', 'b.tum'],
+    ['verify', 'result.yaml', 'a.tum'],
+    ['compare', 'rig.yaml', 'result.yaml']])
+def test_rigs_and_pairs_are_not_mixed(mounts, tmp_path, monkeypatch, capsys, arguments):
+    monkeypatch.chdir(tmp_path)
+    rig(*mounts).save('rig.yaml')
+    (tmp_path / 'result.yaml').write_text('format_version: 2\n')
+    assert main(arguments) == 2
+    assert re.search('is a rig|B is missing', capsys.readouterr().err)

@@ -9,12 +9,14 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.cli.rig_comparison import compare_saved
 from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
 from trajectory_calibration.outputs.fleet_page import fleet_page
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.result import is_rig
 
 # What --output is filled with.
 FILES = ('table.csv', 'table.json', 'fleet.html')
@@ -26,9 +28,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'compare', help='tell whether saved results are of one extrinsic, or since when not',
         usage='%(prog)s [options] RESULT RESULT [RESULT ...]',
         description='Put results of the same sensors in the order of their dates, and find where '
-        'the extrinsic changed. Exit status: 0 they agree, 4 they do not.')
+        'the extrinsic changed. Exit status: 0 they agree, 4 they do not. Rigs (rig.yaml) are '
+        'compared with the first one, sensor by sensor; 3: a sensor could not be compared.')
     parser.add_argument(
-        'results', metavar='RESULT', nargs='+', type=Path, help='result.yaml, two or more')
+        'results', metavar='RESULT', nargs='+', type=Path,
+        help='result.yaml or rig.yaml, two or more')
     add_output_options(parser)
     parser.add_argument('--force', action='store_true', help='overwrite files')
     parser.set_defaults(run=run)
@@ -50,6 +54,12 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError('compare needs two or more results; one was given')
     if arguments.output is not None:
         require_new([arguments.output / name for name in FILES], force=arguments.force)
+    rigs = [is_rig(path) for path in arguments.results]
+    if all(rigs):
+        return compare_saved(arguments.results, arguments)
+    if any(rigs):
+        raise ConfigError(f'{arguments.results[rigs.index(True)]} is a rig, and others are not; '
+                          'compare rigs with rigs')
     names = short_names([str(path) for path in arguments.results])
     return report(
         compare([Entry(name, CalibrationResult.load(path))

@@ -26,11 +26,12 @@ _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 
 
-def add_input_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add A, B, ``--bag`` and the options of how to read them."""
+def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -> None:
+    """Add A, B (which may be missing where not a ``pair``), ``--bag``, and how to read them."""
     parser.add_argument(
         'a', metavar='A', help='sensor a, the parent: a file; with --bag a topic or tf:MAP.BASE')
-    parser.add_argument('b', metavar='B', help='sensor b, the child: the same')
+    parser.add_argument('b', metavar='B', nargs=None if pair else '?',
+                        help='sensor b, the child: the same')
     add_bag_argument(parser)
     group = parser.add_argument_group('how to read the inputs (default: as they say themselves)')
     for name in 'ab':

@@ -30,7 +30,6 @@ from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.calibration import calibrate_rig, fuse_results
-from trajectory_calibration.rig.comparison import compare_rigs
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.rig.result import RigResult
 from trajectory_calibration.rig.settings import PAIRS, RigConfig
@@ -46,9 +45,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] RIG.yaml',
         description='Find the poses of all sensors of a vehicle in its base, consistent round '
         'every loop, and name the sensor that does not fit.',
-        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unknown, or '
-        '--verify could not compare a sensor; 4 a sensor moved since --verify; 1 no answer; '
-        '2 wrong usage.')
+        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unknown; '
+        '1 no answer; 2 wrong usage.')
     parser.add_argument(
         'rig', metavar='RIG.yaml', type=Path, nargs='?',
         help='base, sensors with a topic, tf or file each, and settings: see docs/rig.md')
@@ -61,9 +59,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--leave-out-contradicting', action='store_true',
         help='leave sensors that contradict the others out of the answer')
-    parser.add_argument(
-        '--verify', type=Path, metavar='RIG', help='saved rig (rig.yaml) of another drive: does '
-        'it still hold, and which sensor moved?')
     group = parser.add_argument_group('output')
     group.add_argument(
         '--ground-truth', type=Path, metavar='FILE', help='a saved rig with known poses')
@@ -86,7 +81,6 @@ def run(arguments: argparse.Namespace) -> int:
     truth = None if arguments.ground_truth is None else {
         name: sensor.T_base_sensor
         for name, sensor in RigResult.load(arguments.ground_truth).sensors.items()}
-    earlier = None if arguments.verify is None else RigResult.load(arguments.verify)
     trajectories: Mapping[str, Trajectory] = {}
     sources: list[tuple[str, Path]] = []
     if arguments.from_results is not None:
@@ -115,14 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.output, arguments.report):
         if path is not None:
             print(f'wrote {path}', file=stream)
-    is_open = bool(rig.unobserved or rig.unplaced)
-    if earlier is not None:
-        comparison = compare_rigs(earlier, rig)
-        print(f'against {arguments.verify}: {comparison}', file=stream)
-        if not comparison.holds:
-            return exit_status.CHANGED
-        is_open = is_open or bool(comparison.missing)
-    return exit_status.OPEN if is_open else exit_status.DONE
+    return exit_status.OPEN if rig.unobserved or rig.unplaced else exit_status.DONE
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:

@@ -12,21 +12,25 @@ from pathlib import Path
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.rig_comparison import verify_rig
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.verification import verify
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.result import is_rig, RigResult
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         'verify', help='tell whether a saved result holds on other data',
-        usage='%(prog)s [options] RESULT A B',
+        usage='%(prog)s [options] RESULT A B\n       %(prog)s [options] RIG_RESULT RIG.yaml',
         description='Calibrate A and B without priors, and compare with a saved result. Exit '
         'status: 0 holds; 3 cannot tell, or not all directions were tested; 4 moved; 1 the data '
-        'cannot be read, or A and B are exchanged.')
-    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
-    add_input_arguments(parser)
+        'cannot be read, or A and B are exchanged. A saved rig is verified sensor by sensor on '
+        'those of RIG.yaml.')
+    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
+    add_input_arguments(parser, pair=False)
     parser.add_argument(
         '--format', choices=('text', 'json'), default='text', help='of the output')
     add_config_options(parser)
@@ -35,6 +39,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Verify and print the verdict."""
+    if is_rig(arguments.result):
+        rig = RigResult.load(arguments.result)
+        return verify_rig(rig, _config(rig.config.calibration, arguments), arguments)
+    if arguments.b is None:
+        raise ConfigError(f'B is missing: {arguments.result} is verified on two trajectories')
     result = CalibrationResult.load(arguments.result)
     config = _config(result.config, arguments)
     a, b = load_pair(arguments, (result.frame_a, result.frame_b))

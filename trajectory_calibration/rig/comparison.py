@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,26 +14,27 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.contradictions import describe_step
-from trajectory_calibration.rig.observed import limits_of, probability, whitener
+from trajectory_calibration.rig.observed import limits_of, misfit, probability, whitener
 from trajectory_calibration.rig.result import RigResult
 from trajectory_calibration.rig.shared_noise import twist_to_step
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A sensor that is elsewhere now.
+    """A sensor then and now.
 
     Attributes
     ----------
     sensor : its name.
-    step : (6,), from the old pose in the base to the new one, order as a covariance; of the base
-        itself, about the base.
+    step, std : (6,), from the old pose in the base to the new one, order as a covariance; of the
+        base itself, about the base.
     chi_squared, degrees, p_value : of no change, along what both drives observe.
 
     """
 
     sensor: str
     step: FloatArray
+    std: FloatArray
     chi_squared: float
     degrees: int
     p_value: float
@@ -48,14 +50,17 @@ class RigComparison:
 
     Attributes
     ----------
-    sensors : that both rigs have, the base first.
+    base : the sensor in which all others are compared.
+    sensors : what every sensor that both rigs have did, seen from the base; the base itself where
+        it moved.
     missing : that the new rig does not have.
     changes : sensors that moved, the largest first.
     chi_squared, degrees, p_value : of no change at all.
 
     """
 
-    sensors: tuple[str, ...]
+    base: str
+    sensors: tuple[Change, ...]
     missing: tuple[str, ...]
     changes: tuple[Change, ...]
     chi_squared: float
@@ -67,12 +72,44 @@ class RigComparison:
         """Tell whether nothing moved."""
         return not self.changes
 
+    @property
+    def whole(self) -> bool:
+        """Tell whether every sensor was compared, in some direction at least."""
+        return not self.missing and all(item.degrees for item in self.sensors)
+
+    def verdict_of(self, sensor: Change) -> str:
+        """Return what became of one of ``sensors`` in words: moved, holds, cannot tell."""
+        moved = {change.sensor for change in self.changes}
+        if sensor.sensor in moved:
+            return 'moved'
+        return ('cannot tell' if not sensor.degrees else
+                'as the base moved' if self.base in moved else 'holds')
+
     def __str__(self) -> str:
         verdict = ('the rig holds' if self.holds else
                    '; '.join(str(change) for change in self.changes))
         missing = f'; not compared: {", ".join(self.missing)}' if self.missing else ''
-        return (f'{verdict} (all of {len(self.sensors)} sensors: chi-squared '
+        return (f'{verdict} (chi-squared '
                 f'{self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.2g}){missing}')
+
+    def rows(self) -> list[dict[str, str | float | int]]:
+        """Return what the table has of each sensor: metres, degrees, chi-squared, verdict."""
+        return [{
+            'sensor': item.sensor, 'verdict': self.verdict_of(item),
+            **{f'{kind}{axis}_{unit}': float(factor * values[3 * turn + k])
+               for turn, (unit, factor) in enumerate((('m', 1.0), ('deg', 180 / np.pi)))
+               for k, axis in enumerate('xyz')
+               for kind, values in (('d', item.step), ('std_', item.std))},
+            'chi_squared': item.chi_squared, 'degrees_of_freedom': item.degrees,
+            'p_value': item.p_value} for item in self.sensors]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data, ready for JSON."""
+        return {
+            'holds': self.holds, 'base': self.base, 'sensors': self.rows(),
+            'moved': [item.sensor for item in self.changes], 'not_compared': list(self.missing),
+            'chi_squared': self.chi_squared, 'degrees_of_freedom': self.degrees,
+            'p_value': self.p_value}
 
 
 def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
@@ -105,11 +142,20 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
                for k, name in enumerate(others)}
     columns[base] = -np.kron(np.ones((len(others), 1)), np.eye(6))
     limits = limits_of(new.config.calibration)
+    found: list[Change] = []
+    free = np.zeros((len(V), 0))
+    L = {name: twist_to_step(np.eye(4), old.sensors[name].T_base_sensor if name != base else
+                             np.eye(4)) for name in columns}
+    sensors = []
+    for k, name in enumerate(others):
+        part = slice(6 * k, 6 * k + 6)
+        step, P = L[name] @ shift[part], L[name] @ V[part, part] @ L[name].T
+        chi_squared, degrees = misfit(step, P, limits)
+        sensors.append(Change(name, step, np.sqrt(np.diagonal(P)), chi_squared, degrees,
+                              probability(chi_squared, degrees)))
     K = whitener(V, limits)
     shift = K @ shift
     total, count = float(shift @ shift), len(K)
-    found: list[Change] = []
-    free = np.zeros((len(V), 0))
     left, degrees = total, count
     while degrees > 0 and probability(left, degrees) < FALSE_ALARM:
         tried = []
@@ -123,14 +169,17 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
             rest = shift - K @ A @ answer
             tried.append((float(rest @ rest), name, limits * answer[-6:], A, count - int(rank)))
         after, name, twist, free, remaining = min(tried, key=lambda item: item[0])
-        X = old.sensors[name].T_base_sensor if name != base else np.eye(4)
         shown = degrees - remaining
-        found.append(Change(name, twist_to_step(np.eye(4), X) @ twist, left - after, shown,
+        # What nothing tells has the deviation of the limit, at least.
+        bound = np.linalg.inv((K @ free[:, -6:]).T @ (K @ free[:, -6:]) + np.eye(6))
+        std = np.sqrt(np.diagonal(L[name] @ (np.outer(limits, limits) * bound) @ L[name].T))
+        found.append(Change(name, L[name] @ twist, std, left - after, shown,
                             min(1.0, probability(left - after, shown) * len(tried))))
         left, degrees = after, remaining
-    return RigComparison(
-        tuple(common), tuple(name for name in old.sensors if name not in common), tuple(found),
-        total, count, probability(total, count))
+    of_base = [item for item in found if item.sensor == base]
+    missing = tuple(name for name in old.sensors if name not in common)
+    return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
+                         probability(total, count))
 
 
 def _twist_between(T_0: FloatArray, T_1: FloatArray) -> FloatArray:

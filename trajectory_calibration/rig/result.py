@@ -279,6 +279,14 @@ class RigResult:
         return cls.from_dict(data)
 
 
+def is_rig(path: Path) -> bool:
+    """Tell whether a saved result is that of a rig; False where it cannot be read."""
+    try:
+        return 'rig_format_version' in path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
 def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
     """Return the status of each component of a (6, 6) covariance under the settings' limits."""
     std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
