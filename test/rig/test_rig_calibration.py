@@ -278,6 +278,13 @@ def test_saved_pairs_make_a_rig():
                for i, j in combinations('abc', 2)]
     rig = fuse_results(results)
     assert list(rig.sensors) == ['a', 'b', 'c']
+    assert [found.code for found in rig.findings] == ['rig-shared-noise']
+    # One pair shares nothing.
+    assert 'rig-shared-noise' not in {found.code for found in fuse_results(results[:1]).findings}
+    known = calibrate_rig(run.trajectories)
+    assert 'rig-shared-noise' not in {found.code for found in known.findings}
+    np.testing.assert_allclose(np.sqrt(np.diagonal(rig.covariance)),
+                               np.sqrt(np.diagonal(known.covariance)), rtol=0.3)
     for name in 'bc':
         e = error(rig, run, name)
         assert e @ np.linalg.solve(rig.sensors[name].covariance, e) / 6 < 4

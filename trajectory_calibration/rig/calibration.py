@@ -47,6 +47,10 @@ _CODES = {
     'moved': 'rig-mount-moved', 'clock': 'rig-clock', 'loops': 'rig-contradiction',
     'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
 
+_GUESSED = Finding('rig-shared-noise', (
+    'how the pairs err together is guessed from their deviations: results hold no trajectories, '
+    'or these are too short. For deviations that rest on data, run rig RIG.yaml on the drive'))
+
 # What a driver does about a component that is open.
 _SHOWN_BY = {
     'x': 'curves', 'y': 'curves', 'z': 'ramps and banks', 'rotation x': 'ramps and banks',
@@ -92,7 +96,8 @@ def fuse_results(
 ) -> RigResult:
     """Make one rig of saved answers of pairs; sensors are named by their frames.
 
-    What the pairs share is guessed from their covariances: without trajectories nobody knows.
+    What the pairs share is guessed from their covariances (``guessed_correlations``), and a
+    finding says so: without trajectories nobody knows.
 
     Raises
     ------
@@ -200,6 +205,7 @@ def _of_answers(
         (pair.parent, pair.child): PairReport(pair.parent, pair.child, pair.reason, used=False)
         for pair in failures}
     contradictions = unconnected(groups, failures)
+    of_groups: list[Finding] = []
     chi_squared, degrees = 0.0, 0
     for group in groups:
         if len(group) == 1:
@@ -210,6 +216,7 @@ def _of_answers(
         blocks.append(part.covariance)
         free += part.free
         contradictions += part.contradictions
+        of_groups += part.findings
         reports.update({(pair.parent, pair.child): pair for pair in part.pairs})
         chi_squared += part.chi_squared
         degrees += part.degrees
@@ -221,7 +228,8 @@ def _of_answers(
         pairs=tuple(reports.values()), contradictions=tuple(contradictions),
         chi_squared=chi_squared, degrees=degrees, p_value=p_value,
         findings=worst_first((
-            *_findings(ordered, groups, contradictions, p_value), *_of_pairs(solved))),
+            *_findings(ordered, groups, contradictions, p_value), *of_groups[:1],
+            *_of_pairs(solved))),
         config=config)
 
 
@@ -289,7 +297,8 @@ def _solve_group(
         base=group[0], sensors=sensors, covariance=fused.covariance[np.ix_(rows, rows)],
         free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
-        p_value=probability(without.chi_squared, without.degrees), findings=(), config=config)
+        p_value=probability(without.chi_squared, without.degrees),
+        findings=(_GUESSED,) if tree.noise is None and len(pairs) > 1 else (), config=config)
 
 
 def _answer(
