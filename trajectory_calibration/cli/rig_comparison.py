@@ -13,7 +13,7 @@ from pathlib import Path
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.outputs.rig_screen import comparison_csv, format_comparison
 from trajectory_calibration.rig.calibration import calibrate_rig
@@ -53,7 +53,7 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
         _print(one, arguments.format)
         if arguments.output is not None:
             folder: Path = arguments.output / path.stem if len(others) > 1 else arguments.output
-            folder.mkdir(parents=True, exist_ok=True)
+            make_folder(folder, ResultError)
             write_text(folder / 'table.csv', comparison_csv(one), ResultError)
             write_text(folder / 'table.json', json.dumps(one.to_dict()) + '\n', ResultError)
     return _status(found)
