@@ -26,6 +26,7 @@ from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.outputs.screen import deviation_words
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -112,15 +113,10 @@ def _comments(item: Placement, *more: str) -> list[str]:
                      'along it: measure it, or drive a ramp, before you use them.')
     lines += more
     if item.covariance is not None:
-        std = np.sqrt(np.maximum(np.diagonal(item.covariance), 0.0))
-        lines.append(
-            'standard deviations along and about x, y, z of '
-            f'{item.parent}: {_rounded(std[:3])} m, {_rounded(np.rad2deg(std[3:]))} deg')
+        words = deviation_words(item.covariance)
+        lines.append(f'standard deviations along and about x, y, z of {item.parent}: '
+                     f'{", ".join(words[:3])} m, {", ".join(words[3:])} deg')
     return [*lines, item.origin] if item.origin else lines
-
-
-def _rounded(values: FloatArray) -> str:
-    return ', '.join(f'{value:.2g}' for value in values)
 
 
 def _hash(lines: list[str], indent: str = '') -> str:
