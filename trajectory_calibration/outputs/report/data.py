@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,20 +81,12 @@ class PathScale:
     std: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class PartAnswers:
-    """One number from each quarter and each time scale, minus the answer; metres or degrees.
+class PartAnswers(NamedTuple):
+    """One number from each part of the data, minus the answer; metres or degrees.
 
-    Attributes
-    ----------
-    quarters : how many of the parts are quarters; they come first.
-    names : 'Q1' ... 'Q4', and the seconds of each time scale.
-    values, std : (N,).
-    own : standard deviation of the answer.
-    known : (N,) bool, the part tells this number.
-    far : (N,) bool, it contradicts the answer.
-    is_open : nothing tells it.
-
+    ``names`` are 'Q1' to 'Q4', of which there are ``quarters``, then the seconds of each time
+    scale; ``values`` and ``std`` are (N,), as are ``known`` (the part tells this number) and
+    ``far`` (it contradicts the answer, whose deviation is ``own``); ``is_open``: nothing tells it.
     """
 
     quarters: int
