@@ -13,6 +13,7 @@ from trajectory_calibration.assessment.input_checks import (
     check_pairs,
     parted_steps,
     require_fit,
+    short_drive,
 )
 from trajectory_calibration.assessment.metrics import relative_errors
 from trajectory_calibration.assessment.observability import observe, require_motion_beyond_noise
@@ -123,6 +124,7 @@ def calibrate(
             *doubts,
             *matched,
             *questions,
+            *short_drive(pairs, metrics),
             *(parted_steps(pairs) if solution.diagnosis is None else ()),
             *solution.findings,
             *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),

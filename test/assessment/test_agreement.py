@@ -190,3 +190,15 @@ def test_one_sensor_given_twice_is_said():
         assert any(item.code == 'poses-identical' for item in calibrate(a, other).findings)
     b = simulate(DRIVE, 0).b
     assert not any(item.code == 'poses-identical' for item in calibrate(a, b).findings)
+
+
+def test_a_drive_that_is_too_short_for_its_noise_is_said():
+    for seconds, said in ((6.0, True), (30.0, False)):
+        run = simulate(replace(SCENARIOS['handheld'], duration=seconds), 0)
+        for solver in ('drift_aware', 'park'):
+            found = calibrate(run.a, run.b, CalibrationConfig(solver=solver))
+            assert any(item.code == 'short-drive' for item in found.findings) == said
+    # Where there are no errors, none are hidden.
+    exact = simulate(with_noise(replace(DRIVE, duration=6.0), Noise(), Noise()), 0)
+    found = calibrate(exact.a, exact.b, CalibrationConfig(solver='park'))
+    assert not any(item.code == 'short-drive' for item in found.findings)

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from trajectory_calibration.assessment.metrics import RelativeErrors
 from trajectory_calibration.assessment.offset_steadiness import offset_steadiness
 from trajectory_calibration.assessment.orientation_checks import (
     least_steps,
@@ -49,6 +50,11 @@ _LITTLE_LEFT = 0.2
 _NO_TURN_SHARED, _NO_WAY_SHARED = 0.5, 0.2
 # Turns that agree, and this share of the way that does not, over every lag: other positions.
 _OTHER_WAY = 0.5
+
+# Seconds below which deviations were measured to be too small (docs/uncertainty.md), and fit
+# residuals, metres or radians, that are rounding.
+_SHORT_S = 20.0
+_ROUNDING = 1e-6
 
 # How much farther things move as read than inverted, in the mean of both and in each.
 _INVERTED, _INVERTED_EACH = 1.15, 1.1
@@ -126,6 +132,21 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
         f'the rotation that {solver} found does not fit: half of the turns differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
+
+
+def short_drive(pairs: PosePairs, metrics: RelativeErrors) -> tuple[Finding, ...]:
+    """Return a warning where a drive is too short for errors that a SLAM makes over seconds.
+
+    They look like motion then, and the standard deviations do not hold them. ``metrics`` tell
+    whether there are errors at all.
+    """
+    span_s = float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9
+    if span_s >= _SHORT_S or max(metrics.e_rt, metrics.e_rR) < _ROUNDING:
+        return ()
+    return (Finding(
+        'short-drive', f'only {rounded(span_s)} s of common motion: errors that grow over longer '
+        'times do not show, and the standard deviations may be too small. Record a minute or more',
+        {'duration_s': span_s}),)
 
 
 def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:

@@ -53,6 +53,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'rig-shared-noise': ('note', 'how pairs err together is guessed: there are no trajectories'),
     'scale': ('note', 'the two trajectories differ in scale; corrected'),
     'scale-unit': ('note', 'b is in another unit of length; its scale was found'),
+    'short-drive': ('warning', 'too short for the errors of a SLAM to show'),
     'stamps-are-numbers': ('warning', 'the times may be numbers of frames'),
     'stamps-unpadded': ('note', 'times were written as sec.nsec without leading zeros; repaired'),
     'systematic-drift': ('note', 'one trajectory drifts steadily; corrected'),

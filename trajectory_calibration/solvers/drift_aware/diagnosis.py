@@ -120,8 +120,8 @@ def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     offset, deviation = diagnosis.time_offset_s, diagnosis.time_offset_deviation_s
     if deviation is not None and _proven(offset, deviation, _SMALLEST_TIME_S):
         found.append(Finding(
-            'clock-offset', f'clock offset {1e3 * offset:+.1f} ms (+- {1e3 * deviation:.1f} ms) '
-            'added to the stamps of b', {'offset_s': offset}))
+            'clock-offset', f'remaining clock offset {1e3 * offset:+.1f} ms (+- '
+            f'{1e3 * deviation:.1f} ms) added to the stamps of b', {'offset_s': offset}))
     latency, deviation = diagnosis.latency_s, diagnosis.latency_deviation_s
     if _proven(latency, deviation, _SMALLEST_LATENCY_S):
         which = 'b' if latency > 0 else 'a'
