@@ -51,7 +51,7 @@ def test_files_are_overwritten_only_by_force(tmp_path, capsys):
     before = (tmp_path / 'page.html').stat().st_mtime_ns
     status, out, err = run(capsys, *options)
     assert (status, out) == (2, '')
-    assert 'exists; give --force to overwrite' in err
+    assert 'exist; give --force to overwrite' in err
     assert (tmp_path / 'page.html').stat().st_mtime_ns == before
     assert run(capsys, *options, '--force')[0] == 0
     saved = tmp_path / 'out/result.yaml'
