@@ -26,7 +26,7 @@ def left_of(stamps_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[n
 
     Outside of all of them it is the first or the last step.
     """
-    return np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+    return np.minimum(np.maximum(np.searchsorted(stamps_ns, at_ns), 1), len(stamps_ns) - 1) - 1
 
 
 def interpolate(
