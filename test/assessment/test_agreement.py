@@ -58,6 +58,7 @@ def w_first(trajectory):
     return replace(trajectory, poses=poses)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize('name', ['offroad', 'drone', 'handheld'])
 @pytest.mark.parametrize(('mistake', 'option'), [
     (inverted, '--invert{}'), (w_first, '--quaternion-order{} wxyz')])

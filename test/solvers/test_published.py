@@ -103,6 +103,7 @@ def test_simulation_medians_of_dnlo(simulation_medians):
             assert (median <= 1.05 * published[key] + 1e-6).all(), key
 
 
+@pytest.mark.usefixtures('noise_identified_once')
 @pytest.mark.parametrize('every', [12, pytest.param(1, marks=pytest.mark.slow)])
 def test_no_solver_fails_without_noise(shared_data, every):
     """The published rows of Zhuang do, started at the identity."""

@@ -462,6 +462,8 @@ def test_a_hundred_thousand_motions_take_seconds():
 # Anything ------------------------------------------------------------------------------------
 
 
+@pytest.mark.statistical
+@pytest.mark.usefixtures('noise_identified_once')
 @pytest.mark.parametrize('name', ['dnl', 'dnlo', 'park', 'drift_aware'])
 @pytest.mark.parametrize(
     'seed', [*range(8), *(pytest.param(k, marks=pytest.mark.slow) for k in range(8, 25))])
