@@ -13,7 +13,6 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from trajectory_calibration import ConfigError, Trajectory
-from trajectory_calibration.cli import simulate as simulate_command
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.cli.simulate import add_parser, FORMATS
 from trajectory_calibration.geometry import se3
@@ -184,9 +183,7 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
         ' exists already, not overwriting; remove what is there, or choose another folder\n')
 
 
-def test_the_command_offers_what_can_be_written(tmp_path):
-    assert ('tum', *STORAGES) == FORMATS
-    assert simulate_command.MESSAGES == MESSAGES
+def test_only_what_can_be_written_is_accepted(tmp_path):
     for wrong in ({'message': 'x'}, {'storage': 'x'}):
         with pytest.raises(ConfigError, match=r"'x' is unknown; needed one of \w+, \w+$"):
             write_bag(tmp_path / 'bag', {}, **wrong)

@@ -62,7 +62,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--plots', type=Path, metavar='DIR', help='folder for figures as PNG, SVG and PDF')
     group.add_argument('--force', action='store_true', help='overwrite files')
     add_config_options(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -35,7 +35,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help='result.yaml or rig.yaml, two or more')
     add_output_options(parser)
     parser.add_argument('--force', action='store_true', help='overwrite files')
-    parser.set_defaults(run=run)
 
 
 def add_output_options(parser: argparse.ArgumentParser, output: Path | None = None) -> None:

@@ -54,7 +54,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--allow-unobserved', action='store_true', help='write a direction that is unknown all '
         'the same, as an arbitrary number with a comment')
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

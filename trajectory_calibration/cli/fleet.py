@@ -42,7 +42,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--force', action='store_true', help='overwrite what other jobs or settings left there')
     add_executor_options(parser)
     add_config_options(parser)
-    parser.set_defaults(run=run)
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:

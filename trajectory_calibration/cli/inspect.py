@@ -37,7 +37,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--bag', metavar='BAG', action='append', default=[], type=Path, help='the same as PATH')
     parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
     add_file_arguments(parser)
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -19,8 +19,8 @@ from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, missing_package
 from trajectory_calibration.version import __version__
 
-# A module of a subcommand offers add_parser(subparsers), which sets ``run`` to a function of the
-# parsed arguments that returns the exit status.
+# A module of a subcommand offers add_parser(subparsers), and run(arguments), which returns the
+# exit status.
 _COMMANDS = (
     'calibrate', 'report', 'inspect', 'export', 'verify', 'compare', 'rig', 'fleet', 'simulate',
     'replay')
@@ -120,5 +120,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
     for command in _commands(argv):
-        import_module(f'trajectory_calibration.cli.{command}').add_parser(subparsers)
+        module = import_module(f'trajectory_calibration.cli.{command}')
+        module.add_parser(subparsers)
+        subparsers.choices[command].set_defaults(run=module.run)
     return parser

@@ -36,7 +36,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--format', choices=('text', 'json', 'yaml'), default='text',
         help="of the output; text is the node's answer")
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -42,7 +42,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--plots', type=Path, metavar='DIR', help='folder for the figures as PNG, SVG and PDF')
     parser.add_argument('--force', action='store_true', help='overwrite files')
-    parser.set_defaults(run=run)
 
 
 def add_truth_argument(parser: argparse.ArgumentParser) -> None:

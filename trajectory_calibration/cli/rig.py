@@ -72,7 +72,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     group.add_argument(
         '--report', type=Path, metavar='FILE.html', help='page that shows what the rig rests on')
     group.add_argument('--force', action='store_true', help='overwrite files')
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:

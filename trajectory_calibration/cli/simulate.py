@@ -8,19 +8,22 @@ import argparse
 from dataclasses import fields, replace
 from pathlib import Path
 import shlex
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.cli.report import require_new
 from trajectory_calibration.config.yaml_file import make_folder
 from trajectory_calibration.errors import ConfigError, counted, SourceError
+from trajectory_calibration.simulation import Noise, Scenario, SCENARIOS, simulate, SimulatedPair
+from trajectory_calibration.simulation.files import (
+    MESSAGES,
+    STORAGES,
+    write_bag,
+    write_transform,
+    write_tum,
+)
 
-if TYPE_CHECKING:
-    from trajectory_calibration.simulation import Noise, Scenario, SimulatedPair
-
-# Not taken from simulation.files, which would load with every command; a test compares.
-FORMATS = ('tum', 'mcap', 'sqlite3')
-MESSAGES = ('odometry', 'pose_stamped')
+FORMATS = ('tum', *STORAGES)
 TOPICS = ('/trajectory_a', '/trajectory_b')
 
 
@@ -63,12 +66,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--message', choices=MESSAGES, default='odometry',
         help='type of the messages in a bag (default: odometry)')
-    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, write, and say what was written."""
-    from trajectory_calibration.simulation import SCENARIOS, simulate
     require_new(_files(arguments), force=arguments.force)
     if arguments.scenario not in SCENARIOS:
         raise ConfigError(
@@ -146,7 +147,6 @@ def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
 
 def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     """Write the files; return the command that calibrates them."""
-    from trajectory_calibration.simulation.files import write_bag, write_transform, write_tum
     folder: Path = arguments.output
     make_folder(folder, SourceError)
     truth = folder / 'truth.tum'
