@@ -22,13 +22,13 @@ import time
 
 import numpy as np
 
+from benchmarks.simulated_rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
 from trajectory_calibration.rig.noise import covariances, pair_squares, sensor_variances
 from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.rig.windows import common_grid, levels_of, Track, TWIST
 from trajectory_calibration.simulation.noise import Noise
-from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 from trajectory_calibration.sources.files import FileSource
 

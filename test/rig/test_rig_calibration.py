@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 
+from benchmarks.simulated_rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, CalibrationConfig, CalibrationError, ConfigError
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ResultError, TrajectoryError
@@ -24,7 +25,6 @@ from trajectory_calibration.rig.contradictions import find_other_clocks
 from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
-from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 SLAM = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)

@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, ConfigError
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.config.yaml_file import read_yaml
@@ -24,7 +25,6 @@ from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.simulation.files import write_bag, write_tum
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
-from trajectory_calibration.simulation.rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 SLAM = Noise(white=0.003, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)

@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 
+from benchmarks.simulated_rig import RigScenario, simulate_rig
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
@@ -18,7 +19,6 @@ from trajectory_calibration.rig.result import SensorAnswer
 from trajectory_calibration.rig.shared_noise import twist_to_step
 from trajectory_calibration.simulation.files import write_tum
 from trajectory_calibration.simulation.noise import Noise
-from trajectory_calibration.simulation.rig import RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import random_pose, Sensor
 
 NAMES = ('a', 'b', 'c', 'd')

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig
@@ -12,7 +13,6 @@ from trajectory_calibration.rig.comparison import compare_rigs
 from trajectory_calibration.rig.observed import drawn_near, limits_of, misfit, probability
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
-from trajectory_calibration.simulation.rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import random_pose, Sensor
 
 LIMITS = limits_of(CalibrationConfig())

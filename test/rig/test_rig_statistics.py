@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from thinning import thinned
 
+from benchmarks.simulated_rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
 from trajectory_calibration.simulation.noise import Noise
-from trajectory_calibration.simulation.rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 pytestmark = pytest.mark.statistical

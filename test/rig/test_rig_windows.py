@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.simulated_rig import RigScenario, simulate_rig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig.noise import (
     covariances,
@@ -15,7 +16,6 @@ from trajectory_calibration.rig.noise import (
 from trajectory_calibration.rig.shared_noise import joint_covariance
 from trajectory_calibration.rig.windows import CLOCK, common_grid, levels_of, SCALE, Track, TWIST
 from trajectory_calibration.simulation.noise import Noise
-from trajectory_calibration.simulation.rig import RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 GAP_NS = 500_000_000
