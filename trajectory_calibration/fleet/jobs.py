@@ -24,6 +24,7 @@ from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
+from trajectory_calibration.sources.storage import as_counted
 from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
 
@@ -108,15 +109,9 @@ def read_jobs(
 
 
 def _expand(pattern: str) -> list[str]:
-    # In the order in which people count: run2 before run10.
-    found = sorted(glob.glob(pattern, recursive=True), key=_natural)  # noqa: PTH207
+    found = sorted(glob.glob(pattern, recursive=True), key=as_counted)  # noqa: PTH207
     # A path that does not exist is a recording without an answer, a pattern without a match none.
     return found or ([] if glob.has_magic(pattern) else [pattern])
-
-
-def _natural(text: str) -> list[tuple[int, str]]:
-    return [(int(part), '') if part.isdigit() else (-1, part)
-            for part in re.split(r'(\d+)', text)]
 
 
 def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfig) -> Job:

@@ -129,7 +129,7 @@ def _storage_suffix(path: Path) -> str:
 
 def _find_folder(path: Path) -> Bag:
     present = sorted((item for item in path.iterdir()
-                      if _storage_suffix(item) in _STORAGE_SUFFIXES), key=_natural)
+                      if _storage_suffix(item) in _STORAGE_SUFFIXES), key=as_counted)
     notes = tuple(note for item in present for note in _log_note(item))
     reasons: list[str] = []
     listed: list[str] = []
@@ -173,10 +173,10 @@ def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     return listed, declared
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sort bag_2 before bag_10."""
+def as_counted(path: Path | str) -> list[tuple[int, str]]:
+    """Return what sorts names as people count: bag_2 before bag_10."""
     return [(int(part), '') if part.isdigit() else (-1, part)
-            for part in re.split(r'(\d+)', path.name)]
+            for part in re.split(r'(\d+)', str(path))]
 
 
 def _log_note(path: Path) -> tuple[str, ...]:
