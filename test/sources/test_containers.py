@@ -10,7 +10,7 @@ import pytest
 
 from trajectory_calibration import SourceError, TopicError
 from trajectory_calibration.geometry.se3 import quaternion_to_rotation
-from trajectory_calibration.sources import BagSource
+from trajectory_calibration.sources import BagSource, packing
 from trajectory_calibration.sources.bags import open_bags
 
 COUNT = 40
@@ -84,6 +84,19 @@ def test_compressed_without_metadata(tmp_path, storage):
     alone = BagSource([file], '/odom').load()
     _expect(alone)
     assert alone.warnings == ()
+
+
+@pytest.mark.parametrize('storage', ['mcap zstd', 'sqlite3 message', 'sqlite3 file'])
+def test_a_missing_package_is_no_damage(tmp_path, monkeypatch, storage):
+    def missing(name):
+        raise ModuleNotFoundError(name=name)
+
+    folder = write_bag(tmp_path / 'bag', storage, COUNT)
+    monkeypatch.setattr(packing, '_zstd', lambda: packing._package('zstandard', 'backports.zstd'))
+    monkeypatch.setattr(packing.importlib, 'import_module', missing)
+    with pytest.raises(SourceError, match=r'is compressed, and the Python package '
+                       r'backports\.zstd is not installed; install it with: pip install'):
+        BagSource([folder], '/odom').load()
 
 
 def test_a_file_that_was_compressed_by_hand(tmp_path):
