@@ -211,7 +211,7 @@ def test_wrong_usage(capsys, arguments):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['calibrate'], ['inspect'], ['replay'], ['report'], ['simulate'], ['fleet']])
+    [], ['calibrate'], ['export'], ['replay'], ['report'], ['simulate'], ['fleet']])
 def test_help_fits_a_terminal(monkeypatch, capsys, arguments):
     monkeypatch.setenv('COLUMNS', '80')
     status, out, err = run(capsys, *arguments, '--help')
@@ -221,7 +221,7 @@ def test_help_fits_a_terminal(monkeypatch, capsys, arguments):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['calibrate'], ['inspect'], ['replay'], ['simulate'], ['fleet']])
+    [], ['calibrate'], ['export'], ['replay'], ['simulate'], ['fleet']])
 def test_wrong_usage_is_two_lines(monkeypatch, capsys, arguments):
     monkeypatch.setenv('COLUMNS', '80')
     status, out, err = run(capsys, *arguments)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, ConfigError
 from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.rig import calibrate_rig, fuse_results, RigConfig, SensorSettings
@@ -19,7 +20,6 @@ from trajectory_calibration.rig.description import (
 )
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
-from trajectory_calibration.simulation.rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 jsonschema = pytest.importorskip('jsonschema', reason='jsonschema is not installed')
