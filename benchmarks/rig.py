@@ -42,7 +42,7 @@ _95 = 1.96
 
 
 def scenario(
-    sensors: int, duration: float, *, outages: bool, base: str = 'lidar',
+    sensors: int, duration: float, *, outages: bool, base: str = 'lidar', steady: bool = False,
 ) -> RigScenario:
     """Return a vehicle; with outages, every sensor but one is lost for a while, at any time."""
     found = rig_scenario(sensors, duration)
@@ -55,7 +55,7 @@ def scenario(
             name: replace(sensor, gaps=lost.get(name, (0, 0))[0],
                           gap=lost.get(name, (0, 0))[1] * duration)
             for name, sensor in found.sensors.items()})
-    return found
+    return replace(found, steady_drift=0.003, latency=0.005) if steady else found
 
 
 def error_of(rig, run, name):
@@ -75,14 +75,15 @@ def direct_answers(rig, run, config):
 
 
 def accuracy(
-    sensors: int, duration: float, seeds: range, *, outages: bool, base: str,
+    sensors: int, duration: float, seeds: range, *, outages: bool, base: str, steady: bool,
 ) -> None:
     """Print the errors of rigs beside those of the pairs with the base."""
     config = FREE if sensors > 2 else RigConfig()
     errors, singles, nees, marginal, pair_nees, inside, closure, alarms = (
         [], [], [], [], [], [], [], 0)
     for seed in seeds:
-        run = simulate_rig(scenario(sensors, duration, outages=outages, base=base), seed)
+        run = simulate_rig(
+            scenario(sensors, duration, outages=outages, base=base, steady=steady), seed)
         rig = calibrate_rig(run.trajectories, config)
         direct = direct_answers(rig, run, config)
         if set(rig.free) != set(direct):
@@ -105,7 +106,7 @@ def accuracy(
         alarms += any(item.kind != 'clock' for item in rig.contradictions)
     ours, alone = np.array(errors), np.array(singles)
     print(f'{sensors} sensors, base {base}, {duration:.0f} s, outages {outages}, '
-          f'{len(ours)} seeds')
+          f'steady errors {steady}, {len(ours)} seeds')
     names = rig.free
     for k, kind in enumerate(('translation, mm', 'rotation, mrad')):
         for part, word in ((np.median, 'median'), (_rms, 'rms')):
@@ -273,6 +274,7 @@ def main() -> None:
     parser.add_argument('--kinds', nargs='+', default=['moved', 'late', 'elsewhere', 'none'])
     parser.add_argument('--base', default='lidar')
     parser.add_argument('--outages', action='store_true')
+    parser.add_argument('--steady', action='store_true', help='accuracy: steady drift, latencies')
     parser.add_argument('--mixed', action='store_true', help='faults: the noisier, mixed rig')
     given = parser.parse_args()
     seeds = range(given.first_seed, given.first_seed + given.seeds)
@@ -283,9 +285,12 @@ def main() -> None:
     elif given.what == 'faults':
         faults(given.duration or 120.0, seeds, given.kinds, mixed=given.mixed)
     else:
+        common = {'outages': given.outages, 'base': given.base}
         for sensors in given.sensors:
-            (accuracy if given.what == 'accuracy' else bound)(
-                sensors, given.duration or 120.0, seeds, outages=given.outages, base=given.base)
+            if given.what == 'bound':
+                bound(sensors, given.duration or 120.0, seeds, **common)
+            else:
+                accuracy(sensors, given.duration or 120.0, seeds, steady=given.steady, **common)
 
 
 if __name__ == '__main__':

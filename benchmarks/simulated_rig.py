@@ -44,6 +44,9 @@ class RigScenario:
     duration : seconds.
     motion : how the base moves.
     faults : by the name of the sensor.
+    steady_drift : standard deviation of what a drifting sensor drifts steadily besides, metres a
+        metre, along one axis; each run draws it.
+    latency : standard deviation of the seconds by which positions are older than attitudes.
 
     """
 
@@ -52,6 +55,8 @@ class RigScenario:
     motion: Unicycle | Wander = field(default_factory=lambda: Unicycle(
         speed=5.0, yaw_rate=0.6, hold=2.0, ground=hills))
     faults: Mapping[str, Fault] = field(default_factory=dict)
+    steady_drift: float = 0.0
+    latency: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,7 @@ def simulate_rig(scenario: RigScenario, seed: int) -> SimulatedRig:
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     other = scenario.motion.draw(scenario.duration, np.random.default_rng(for_faults.spawn(1)[0]))
     frames, faults = np.random.default_rng(for_frames), np.random.default_rng(for_faults)
+    steady = np.random.default_rng(for_faults.spawn(1)[0])
     trajectories: dict[str, Trajectory] = {}
     truth: dict[str, FloatArray] = {}
     for (name, sensor), noise_seed in zip(
@@ -87,9 +93,15 @@ def simulate_rig(scenario: RigScenario, seed: int) -> SimulatedRig:
         direction = faults.standard_normal(3)
         mount[times > scenario.duration / 2, :3, 3] += (
             fault.moved * direction / np.linalg.norm(direction))
-        poses = T_world @ (other if fault.elsewhere else path)(times) @ mount
+        driven = other if fault.elsewhere else path
+        poses = T_world @ driven(times) @ mount
+        late_s, drift = steady.standard_normal(2) * [scenario.latency, scenario.steady_drift]
+        if late_s:
+            poses[:, :3, 3] = (T_world @ driven(times - late_s) @ mount)[:, :3, 3]
+        noise = sensor.noise if not sensor.noise.walk else replace(
+            sensor.noise, drift=sensor.noise.drift + abs(float(drift)))
         late = replace(sensor, clock_offset=sensor.clock_offset + fault.late, sensor_frame=name,
-                       world_frame=f'{name}_map')
+                       world_frame=f'{name}_map', noise=noise)
         trajectories[name] = observe(late, scenario.duration, poses, noise_seed)
         truth[name] = T_base_sensor
     return SimulatedRig(trajectories, truth)
