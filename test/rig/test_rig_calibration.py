@@ -327,7 +327,7 @@ def test_no_pair_is_calibrated_twice():
     ({'calibration': {'prior_translation': '1,2,3', 'prior_translation_std': '1'}},
      'a rig has a prior for each sensor'),
     ({'pairs': 'some'}, "pairs is 'some'"),
-    ({'max_poses': -1}, 'max_poses is -1'),
+    ({'processes': -1}, 'processes is -1'),
 ])
 def test_wrong_settings_are_errors(values, message):
     with pytest.raises(ConfigError, match=message):

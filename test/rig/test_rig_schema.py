@@ -87,7 +87,7 @@ def test_what_is_read_fits_and_the_rest_is_refused_by_both():
     of_rig = validator('rig.schema.json')
     of_rig.validate(RIG)
     RigDescription.from_dict(RIG)
-    for wrong in ({'bases': 'a'}, {'pairs': 'some'}, {'max_poses': -1}, {'sensors': {}},
+    for wrong in ({'bases': 'a'}, {'pairs': 'some'}, {'processes': -1}, {'sensors': {}},
                   {'sensors': {**RIG['sensors'], 'b': {'scale': 'free'}}},
                   {'sensors': {**RIG['sensors'], 'b': {'file': 'b', 'topic': '/b'}}},
                   {'sensors': {**RIG['sensors'], 'b': {'file': 'b', 'skale': 'free'}}}):

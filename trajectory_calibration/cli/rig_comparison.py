@@ -15,7 +15,11 @@ from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.outputs.rig_screen import comparison_csv, format_comparison
+from trajectory_calibration.outputs.rig_comparison import (
+    comparison_csv,
+    comparison_data,
+    format_comparison,
+)
 from trajectory_calibration.rig.calibration import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs, RigComparison
 from trajectory_calibration.rig.description import RigDescription
@@ -55,13 +59,13 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
             folder: Path = arguments.output / path.stem if len(others) > 1 else arguments.output
             make_folder(folder, ResultError)
             write_text(folder / 'table.csv', comparison_csv(one), ResultError)
-            write_text(folder / 'table.json', json.dumps(one.to_dict()) + '\n', ResultError)
+            write_text(folder / 'table.json', json.dumps(comparison_data(one)) + '\n', ResultError)
     return _status(found)
 
 
 def _print(found: RigComparison, form: str) -> None:
     """Print one table."""
-    print(json.dumps(found.to_dict()) if form == 'json' else
+    print(json.dumps(comparison_data(found)) if form == 'json' else
           comparison_csv(found) if form == 'csv' else format_comparison(found),
           end='\n' if form == 'json' else '')
 

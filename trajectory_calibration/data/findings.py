@@ -50,7 +50,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'rig-mount-moved': ('serious', 'a sensor moved on its mount during the drive'),
     'rig-no-common-time': ('serious', 'a sensor shares no time with the others'),
     'rig-other-motion': ('serious', 'a sensor does not move as the others do'),
-    'rig-shared-noise': ('note', 'how pairs err together is guessed: there are no trajectories'),
+    'rig-shared-noise': ('note', 'how pairs err together is assumed: no trajectories tell'),
     'scale': ('note', 'the two trajectories differ in scale; corrected'),
     'scale-unit': ('note', 'b is in another unit of length; its scale was found'),
     'short-drive': ('warning', 'too short for the errors of a SLAM to show'),

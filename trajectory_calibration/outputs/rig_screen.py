@@ -5,8 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import csv
-import io
 
 import numpy as np
 
@@ -15,7 +13,6 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import error_words, NAMES, pose_rows, Row
 from trajectory_calibration.outputs.screen import finding_lines
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.rig.comparison import RigComparison
 from trajectory_calibration.rig.result import RigResult, SensorAnswer
 
 # Beside a number, by its word.
@@ -101,29 +98,3 @@ def _pairs(rig: RigResult) -> list[str]:
         unused = '' if pair.used or pair.failure else ' (not used)'
         lines.append(f'    {pair.parent} - {pair.child}: {pair.words}{unused}')
     return lines
-
-
-def format_comparison(found: RigComparison) -> str:
-    """Return the verdict, then one line for each sensor."""
-    lines = [str(found), '', (f'  in {found.base:<11}{"moved by, mm":>18}{"deg":>18}'
-                              f'{"chi-squared":>16}  verdict')]
-    for item in found.sensors:
-        (t, s_t), (R, s_R) = (
-            (factor * np.linalg.norm(item.step[part]), factor * np.linalg.norm(item.std[part]))
-            for factor, part in ((1e3, slice(3)), (180 / np.pi, slice(3, 6))))
-        lines.append(f'  {item.sensor:<14}{f"{t:.1f} +- {s_t:.1f}":>18}'
-                     f'{f"{R:.3f} +- {s_R:.3f}":>18}'
-                     f'{f"{item.chi_squared:.1f} of {item.degrees}":>16}  '
-                     f'{found.verdict_of(item)}')
-    lines += [f'  {name:<14}{"not compared":>18}' for name in found.missing]
-    return '\n'.join(lines) + '\n'
-
-
-def comparison_csv(found: RigComparison) -> str:
-    """Return one row for each sensor, the units in the names of the columns."""
-    text = io.StringIO()
-    rows = found.rows()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator='\n')
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()

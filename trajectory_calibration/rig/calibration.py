@@ -29,6 +29,7 @@ from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import (
     answer_of,
     calibrate_pairs,
+    connected,
     PairAnswer,
     PairFailure,
 )
@@ -47,9 +48,10 @@ _CODES = {
     'moved': 'rig-mount-moved', 'clock': 'rig-clock', 'loops': 'rig-contradiction',
     'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
 
-_GUESSED = Finding('rig-shared-noise', (
-    'how the pairs err together is guessed from their deviations: results hold no trajectories, '
-    'or these are too short. For deviations that rest on data, run rig RIG.yaml on the drive'))
+_ASSUMED = Finding('rig-shared-noise', (
+    'each sensor is taken to have half of what its pairs err: results hold no trajectories, or '
+    'these are too short to tell. For deviations that rest on data, run rig RIG.yaml on the drive'
+))
 
 # What a driver does about a component that is open.
 _SHOWN_BY = {
@@ -96,8 +98,8 @@ def fuse_results(
 ) -> RigResult:
     """Make one rig of saved answers of pairs; sensors are named by their frames.
 
-    What the pairs share is guessed from their covariances (``guessed_correlations``), and a
-    finding says so: without trajectories nobody knows.
+    Without trajectories nobody knows what the pairs share: each sensor is taken to have half of
+    what its pairs err, and a finding says so.
 
     Raises
     ------
@@ -197,7 +199,7 @@ def _of_answers(
         reasons = '; '.join(f'{pair.parent} - {pair.child}: {pair.reason}'
                             for pair in failures[:3])
         raise CalibrationError(f'no two of {len(names)} sensors gave an answer: {reasons}')
-    groups = _connected(names, solved)
+    groups = connected(names, solved)
     sensors: dict[str, SensorAnswer] = {}
     blocks: list[FloatArray] = []
     free: list[str] = []
@@ -231,23 +233,6 @@ def _of_answers(
             *_findings(ordered, groups, contradictions, p_value), *of_groups[:1],
             *_of_pairs(solved))),
         config=config)
-
-
-def _connected(names: Sequence[str], solved: Sequence[PairAnswer]) -> list[list[str]]:
-    """Return the groups of sensors that answers connect, the base of each first."""
-    groups: list[list[str]] = []
-    left = list(names)
-    while left:
-        group = {left[0]}
-        while True:
-            more = {end for answer in solved if group & {answer.parent, answer.child}
-                    for end in (answer.parent, answer.child)} - group
-            if not more:
-                break
-            group |= more
-        groups.append([name for name in left if name in group])
-        left = [name for name in left if name not in group]
-    return groups
 
 
 def _solve_group(
@@ -298,7 +283,7 @@ def _solve_group(
         free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
         p_value=probability(without.chi_squared, without.degrees),
-        findings=(_GUESSED,) if tree.noise is None and len(pairs) > 1 else (), config=config)
+        findings=(_ASSUMED,) if tree.noise is None and len(pairs) > 1 else (), config=config)
 
 
 def _answer(

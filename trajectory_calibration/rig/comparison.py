@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -77,39 +76,12 @@ class RigComparison:
         """Tell whether every sensor was compared, in some direction at least."""
         return not self.missing and all(item.degrees for item in self.sensors)
 
-    def verdict_of(self, sensor: Change) -> str:
-        """Return what became of one of ``sensors`` in words: moved, holds, cannot tell."""
-        moved = {change.sensor for change in self.changes}
-        if sensor.sensor in moved:
-            return 'moved'
-        return ('cannot tell' if not sensor.degrees else
-                'as the base moved' if self.base in moved else 'holds')
-
     def __str__(self) -> str:
         verdict = ('the rig holds' if self.holds else
                    '; '.join(str(change) for change in self.changes))
         missing = f'; not compared: {", ".join(self.missing)}' if self.missing else ''
         return (f'{verdict} (chi-squared '
                 f'{self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.2g}){missing}')
-
-    def rows(self) -> list[dict[str, str | float | int]]:
-        """Return what the table has of each sensor: metres, degrees, chi-squared, verdict."""
-        return [{
-            'sensor': item.sensor, 'verdict': self.verdict_of(item),
-            **{f'{kind}{axis}_{unit}': float(factor * values[3 * turn + k])
-               for turn, (unit, factor) in enumerate((('m', 1.0), ('deg', 180 / np.pi)))
-               for k, axis in enumerate('xyz')
-               for kind, values in (('d', item.step), ('std_', item.std))},
-            'chi_squared': item.chi_squared, 'degrees_of_freedom': item.degrees,
-            'p_value': item.p_value} for item in self.sensors]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, ready for JSON."""
-        return {
-            'holds': self.holds, 'base': self.base, 'sensors': self.rows(),
-            'moved': [item.sensor for item in self.changes], 'not_compared': list(self.missing),
-            'chi_squared': self.chi_squared, 'degrees_of_freedom': self.degrees,
-            'p_value': self.p_value}
 
 
 def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:

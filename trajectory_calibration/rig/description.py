@@ -21,7 +21,7 @@ _READING = tuple(item.name for item in fields(InputOptions))
 _KNOWN_OF_SENSOR = tuple(item.name for item in fields(SensorSettings))
 
 # Keys of the file that are settings of the rig, and the one with another name there.
-_RIG_KEYS = ('base', 'pairs', 'leave_out_contradicting', 'max_poses', 'processes')
+_RIG_KEYS = ('base', 'pairs', 'leave_out_contradicting', 'processes')
 _KEYS = (*_RIG_KEYS, 'bags', 'sensors', 'settings')
 
 

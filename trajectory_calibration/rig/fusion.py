@@ -106,14 +106,14 @@ def fuse(
     limits = limits_of(CalibrationConfig()) if limits is None else limits
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
     doubt = np.where(trust, 1.0, 1.0 / _DOUBTED)
-    roots = list(np.linalg.cholesky(np.stack([
+    whitening = np.linalg.inv(np.linalg.cholesky(np.stack([
         regular(C[p, :, p]) * doubt[p]**2 for p in range(len(pairs))])))
     X, step, left = start.copy(), np.full(1, np.inf), np.inf
     for _ in range(_MAX_STEPS):
         residual, A = _linearise(X, pairs, answers, columns)
         known, expected = _prior_rows(X, priors or {}, columns)
-        rows = np.concatenate([_whitened(roots, A), known])
-        sides = np.concatenate([_whitened(roots, residual), expected])
+        rows = np.concatenate([_times(whitening, A), known])
+        sides = np.concatenate([_times(whitening, residual), expected])
         Q, triangle = np.linalg.qr(rows)
         step = np.linalg.solve(triangle, Q.T @ sides)
         # In deviations: rounding moves what is open by more than what is known.
@@ -128,11 +128,11 @@ def fuse(
             'of their pairs contradict each other; leave a sensor out')
     residual, A = _linearise(X, pairs, answers, columns)
     known = _prior_rows(X, priors or {}, columns)[0]
-    triangle = np.linalg.qr(np.concatenate([_whitened(roots, A), known]))[1]
+    triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))[1]
     inverse = np.linalg.inv(triangle)
     G = inverse @ inverse.T
     # How the answer moves with the answers of the pairs.
-    weights = G @ _unwhitened(roots, _whitened(roots, A)).T
+    weights = G @ _times(whitening.swapaxes(1, 2), _times(whitening, A)).T
     from_pairs = weights @ C.reshape(len(residual), -1) @ weights.T
     from_priors = G @ known.T
     covariance = from_pairs + from_priors @ from_priors.T
@@ -166,18 +166,10 @@ def _misclosure(
     return (each, degrees), of_loops
 
 
-def _whitened(roots: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
-    """Return (6 P, ...) rows in units of their pairs' (6, 6) roots."""
-    return np.concatenate([
-        np.linalg.solve(root, part)
-        for root, part in zip(roots, np.split(rows, len(roots)), strict=True)])
-
-
-def _unwhitened(roots: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
-    """Return the transposed inverse roots times rows that are whitened already."""
-    return np.concatenate([
-        np.linalg.solve(root.T, part)
-        for root, part in zip(roots, np.split(rows, len(roots)), strict=True)])
+def _times(blocks: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return (6 P, ...) rows, those of each pair multiplied by its (6, 6) block."""
+    found: FloatArray = (blocks @ rows.reshape(len(blocks), 6, -1)).reshape(rows.shape)
+    return found
 
 
 def spanning_start(

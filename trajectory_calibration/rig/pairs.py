@@ -95,7 +95,6 @@ def calibrate_pairs(
     first is the parent, the base before all.
     """
     names = [base, *(name for name in trajectories if name != base)]
-    given = {name: _thinned(trajectories[name], config.max_poses) for name in names}
     answers: list[PairAnswer] = []
     failures: list[PairFailure] = []
     tried: set[frozenset[str]] = set()
@@ -104,8 +103,8 @@ def calibrate_pairs(
         new = dict.fromkeys(_oriented(pair, names, config) for pair in wanted
                             if frozenset(pair) not in tried)
         tried.update(map(frozenset, new))
-        tasks = [_Task(parent, child, _thinned(given[parent], most), _thinned(given[child], most),
-                       config) for parent, child in new]
+        tasks = [_Task(parent, child, _thinned(trajectories[parent], most),
+                       _thinned(trajectories[child], most), config) for parent, child in new]
         with _mapper(tasks, config.processes) as run:
             for found in run(_run, tasks):
                 if isinstance(found, PairAnswer):
@@ -122,9 +121,8 @@ def calibrate_pairs(
         extend([(hub, name) for hub in hubs for name in names if name != hub],
                _CHECKED_POSES)
     # Sensors that the base does not reach may reach each other.
-    extend([
-        pair for pair in combinations(names, 2)
-        if _component(pair[0], answers) != _component(pair[1], answers)])
+    extend([(one, other) for group, rest in combinations(connected(names, answers), 2)
+            for one in group for other in rest])
     return answers, failures
 
 
@@ -140,17 +138,14 @@ def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig
     return sorted(names[1:], key=badness)[:_HUBS]
 
 
-def _component(name: str, answers: Sequence[PairAnswer]) -> frozenset[str]:
-    """Return the sensors that answered pairs connect with one."""
-    reached = {name}
-    while True:
-        more = {
-            other for answer in answers
-            for one, other in ((answer.parent, answer.child), (answer.child, answer.parent))
-            if one in reached} - reached
-        if not more:
-            return frozenset(reached)
-        reached |= more
+def connected(names: Sequence[str], answers: Sequence[PairAnswer]) -> list[list[str]]:
+    """Return the groups of sensors that answers connect, each in the order of the names."""
+    group = {name: {name} for name in names}
+    for answer in answers:
+        both = group[answer.parent] | group[answer.child]
+        group.update(dict.fromkeys(both, both))
+    found = {id(group[name]): group[name] for name in names}
+    return [[name for name in names if name in members] for members in found.values()]
 
 
 def _oriented(

@@ -344,22 +344,15 @@ def _sensor_from_dict(name: str, data: Mapping[str, Any]) -> SensorAnswer:
 
 
 def _pair_to_dict(pair: PairReport) -> dict[str, Any]:
-    def plain(values: FloatArray) -> list[float] | None:
-        return values.tolist() if np.isfinite(values).all() else None
-    return {
-        'parent': pair.parent, 'child': pair.child, 'failure': pair.failure,
-        'residual': plain(pair.residual), 'std': plain(pair.std),
-        'chi_squared': pair.chi_squared if np.isfinite(pair.chi_squared) else None,
-        'degrees_of_freedom': pair.degrees, 'poses': pair.poses, 'used': pair.used,
-    }
+    values = {**vars(pair), 'residual': pair.residual.tolist(), 'std': pair.std.tolist()}
+    return {name: None if isinstance(value, (float, list)) and not np.isfinite(value).all()
+            else value for name, value in values.items()}
 
 
 def _pair_from_dict(data: Mapping[str, Any]) -> PairReport:
-    def array(values: Any) -> FloatArray:
-        return np.full(6, np.nan) if values is None else np.array(values, dtype=np.float64)
-    chi_squared = data['chi_squared']
-    return PairReport(
-        parent=str(data['parent']), child=str(data['child']), failure=str(data['failure']),
-        residual=array(data['residual']), std=array(data['std']),
-        chi_squared=float('nan') if chi_squared is None else float(chi_squared),
-        degrees=int(data['degrees_of_freedom']), poses=int(data['poses']), used=bool(data['used']))
+    none = float('nan')
+    of_arrays = {
+        name: np.full(6, none) if data[name] is None else np.array(data[name], dtype=np.float64)
+        for name in ('residual', 'std')}
+    chi_squared = none if data['chi_squared'] is None else float(data['chi_squared'])
+    return PairReport(**{**data, **of_arrays, 'chi_squared': chi_squared})

@@ -75,7 +75,6 @@ class RigConfig:
         sensors, and of more those with the base and with the two surest others.
     leave_out_contradicting : whether a sensor that contradicts the others is left out of the
         answer; otherwise it is answered, and has no influence on the others.
-    max_poses : most poses of each trajectory that a pair of three sensors or more uses; 0: all.
     processes : of this machine that calibrate pairs; 0: one for each core, where it pays.
     calibration : settings of every pair.
 
@@ -85,16 +84,14 @@ class RigConfig:
     sensors: Mapping[str, SensorSettings] = field(default_factory=dict)
     pairs: str = 'auto'
     leave_out_contradicting: bool = False
-    max_poses: int = 0
     processes: int = 0
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
 
     def __post_init__(self) -> None:
         _require_one_of('pairs', self.pairs, PAIRS)
-        for name in ('max_poses', 'processes'):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise ConfigError(f'{name} is {value!r}, needed a whole number from 0 up')
+        if type(self.processes) is not int or self.processes < 0:
+            raise ConfigError(
+                f'processes is {self.processes!r}, needed a whole number from 0 up')
         if not isinstance(self.leave_out_contradicting, bool):
             raise ConfigError(
                 f'leave_out_contradicting is {self.leave_out_contradicting!r}, needed true or '
@@ -116,7 +113,6 @@ class RigConfig:
             'sensors': {name: asdict(sensor) for name, sensor in self.sensors.items()},
             'pairs': self.pairs,
             'leave_out_contradicting': self.leave_out_contradicting,
-            'max_poses': self.max_poses,
             'processes': self.processes,
             'calibration': self.calibration.to_dict(),
         }

@@ -133,19 +133,13 @@ def carried_to_stated(
     ``R`` (P, 6, P, 6) are correlations of twists about the base, ``X`` (S, 4, 4) sensors in it.
     """
     L = np.stack([twist_to_step(X[i], X[j]) for i, j in pairs])
-    roots = np.stack([to_pair @ _root(P) for to_pair, P in zip(
-        L, _about_base(stated, L), strict=True)])
+    inverse = np.linalg.inv(L)
+    in_base = inverse @ stated @ inverse.swapaxes(1, 2)
+    roots = np.stack([to_pair @ _root(P) for to_pair, P in zip(L, in_base, strict=True)])
     C = np.einsum('pab,pbqc,qdc->paqd', roots, R, roots, optimize=True)
     for p, P in enumerate(stated):
         C[p, :, p] = P
     return C
-
-
-def _about_base(stated: FloatArray, L: FloatArray) -> FloatArray:
-    """Return (P, 6, 6) covariances of twists about the base."""
-    inverse = np.linalg.inv(L)
-    found: FloatArray = inverse @ stated @ np.swapaxes(inverse, 1, 2)
-    return found
 
 
 def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
@@ -156,29 +150,11 @@ def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
     return result
 
 
-def guessed_correlations(
-    stated: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
-) -> FloatArray:
-    """Return (P, 6, P, 6) for pairs of which nothing but the answers is known.
-
-    The variance of a pair is the sum of what its sensors contribute, by least squares; pairs
-    that share a sensor err together by its share, along the same axes of the base.
-    """
-    sensors = len(X)
+def assumed_correlations(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
+    """Return (P, 6, P, 6) where nothing tells whose errors they are: each sensor has half."""
     i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    L = np.stack([twist_to_step(X[a], X[b]) for a, b in pairs])
-    size = np.array([_size(P) for P in _about_base(stated, L)])
-    rows = np.zeros((len(i), sensors))
-    rows[np.arange(len(i)), i] = rows[np.arange(len(i)), j] = 1.0
-    root = 1.0 / size
-    share = np.linalg.lstsq(
-        np.concatenate([rows * root[:, None], 1e-3 * np.eye(sensors) / np.median(size)]),
-        np.concatenate([np.ones(len(i)), np.full(sensors, 0.5e-3)]), rcond=None)[0]
-    share = np.maximum(share, 0.02 * size.min())
     role = _roles(sensors, i, j)
-    total = share[i] + share[j]
-    common = np.einsum('sp,sq,s->pq', role, role, share) / np.sqrt(np.outer(total, total))
-    return np.einsum('pq,ab->paqb', common, np.eye(6))
+    return np.einsum('pq,ab->paqb', 0.5 * role.T @ role, np.eye(6))
 
 
 def with_own_share(C: FloatArray, own: float) -> FloatArray:
@@ -188,11 +164,6 @@ def with_own_share(C: FloatArray, own: float) -> FloatArray:
     for p in range(pairs):
         V[p, :, p] = C[p, :, p]
     return V.reshape(pairs * width, pairs * width)
-
-
-def _size(P: FloatArray) -> float:
-    """Return how large a (6, 6) covariance is in its well-known directions: a geometric mean."""
-    return float(np.exp(np.mean(np.log(np.maximum(np.linalg.eigvalsh(P), 1e-30)))))
 
 
 def _root(P: FloatArray) -> FloatArray:

@@ -26,9 +26,9 @@ from trajectory_calibration.rig.noise import (
 )
 from trajectory_calibration.rig.observed import drawn_near, limits_of
 from trajectory_calibration.rig.shared_noise import (
+    assumed_correlations,
     carried_to_stated,
     correlations,
-    guessed_correlations,
     joint_covariance,
     ROUNDING,
 )
@@ -123,7 +123,7 @@ def build_tree(
 ) -> Tree:
     """Return the tree of sensors ``names`` (the base first), which ``pairs`` connect.
 
-    ``trajectories`` may be empty: then what the pairs share is guessed from what they state.
+    ``trajectories`` may be empty: then half of what a pair errs is of each of its sensors.
     """
     ends = [(pair.parent, pair.child) for pair in pairs]
     sensors = len(names)
@@ -153,8 +153,8 @@ def build_tree(
         stds = scales * np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
         stds[stds < _ROUNDING] = 0.0
         return Tree(tuple(names), tuple(pairs), clocks, scales, stds, answers,
-                    carried_to_stated(guessed_correlations(stated, start, ends), stated, start,
-                                      ends), start, limits)
+                    carried_to_stated(assumed_correlations(sensors, ends), stated, start, ends),
+                    start, limits)
     squares, counts = pair_squares(levels)
     variances = sensor_variances(
         squares, counts, np.linalg.norm(start[:, :3, 3], axis=1))
