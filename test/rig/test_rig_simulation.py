@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.simulated_rig import RigScenario, simulate_rig
 from trajectory_calibration.simulation.noise import Noise
-from trajectory_calibration.simulation.rig import RigScenario, simulate_rig
 from trajectory_calibration.simulation.scenario import Sensor
 
 EXACT = RigScenario({'a': Sensor(), 'b': Sensor()}, 20.0)
