@@ -308,6 +308,9 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
 @pytest.mark.parametrize(('arguments', 'status', 'message'), [
     ([], 2, 'the following arguments are required: A, B'),
     (['{a}'], 2, 'the following arguments are required: B'),
+    (['{a}', '{b}', '--time-ofset', '1'], 2,
+     'error: calibrate takes no option --time-ofset; did you mean --time-offset? See calibrate'),
+    (['{a}', '{b}', 'c'], 2, 'error: calibrate takes no argument c. See calibrate --help'),
     (['{a}', '{b}', '--solver', 'magic'], 2, "solver 'magic' is unknown; needed one of dnl"),
     (['{a}', '{b}', '--max-gap', 'x'], 2, "argument --max-gap: invalid float value: 'x'"),
     (['{a}', '{b}', '--max-gap', '-1'], 2, 'error: max_gap is -1.0, needed 0 to 3600'),

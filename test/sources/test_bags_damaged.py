@@ -213,7 +213,7 @@ def test_a_damaged_chunk_costs_only_itself(tmp_path):
 @pytest.mark.parametrize(('name', 'message'), [
     ('nothing', 'does not exist; needed a rosbag2 folder or a .mcap, .db3, .bag file'),
     ('file.txt', 'is not a bag; needed'),
-    ('folder', 'is not a bag: no metadata.yaml that can be read .*; give a folder that ros2 bag'),
+    ('folder', 'is not a bag: it holds no metadata.yaml, .mcap or .db3 file; give a folder'),
     ('empty.mcap', 'is damaged: .* nothing in it can be read; copy it again'),
     ('empty.db3', 'is damaged: .* nothing in it can be read'),
     ('empty.bag', 'is damaged: .* nothing in it can be read'),

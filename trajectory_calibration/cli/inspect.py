@@ -8,6 +8,7 @@ import argparse
 from dataclasses import replace
 import json
 from pathlib import Path
+import sys
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.inputs import add_file_arguments, load_one, options_of
@@ -37,13 +38,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--bag', metavar='BAG', action='append', default=[], type=Path, help='the same as PATH')
     parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
     add_file_arguments(parser)
+    parser.set_defaults(parser=parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Inspect each path and print what was found, then what could not be read."""
     paths = [*arguments.paths, *arguments.bag]
     if not paths:
-        raise ConfigError('name a bag or a file')
+        arguments.parser.print_usage(sys.stderr)
+        raise ConfigError('the following arguments are required: PATH')
     found = [_inspect(path, arguments) for path in paths]
     inputs = [item for item in found if not isinstance(item, SourceError)]
     errors = [item for item in found if isinstance(item, SourceError)]

@@ -6,11 +6,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from importlib import import_module
 import io
 import os
+import re
 import sys
 
 from trajectory_calibration.cli import exit_status
@@ -74,16 +76,31 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 
 
 def _run(argv: Sequence[str]) -> int:
-    parser = _parser(argv)
+    parser, commands = _parser(argv)
     if '_ARGCOMPLETE' in os.environ:
         _complete(parser)
     try:
-        arguments = parser.parse_args(split_bags(join_negative_values(argv)))
+        arguments, unknown = parser.parse_known_args(split_bags(join_negative_values(argv)))
     except SystemExit as exit_:
         return exit_.code if isinstance(exit_.code, int) else exit_status.USAGE
+    if unknown:
+        raise ConfigError(_describe_unknown(unknown[0], argv, commands))
     arguments.argv = list(argv)
     status: int = arguments.run(arguments)
     return status
+
+
+def _describe_unknown(
+    argument: str, argv: Sequence[str], commands: Mapping[str, argparse.ArgumentParser],
+) -> str:
+    """Return what is wrong with an argument that a command does not take."""
+    command = next(name for name in argv if name in _COMMANDS)
+    given = argument.partition('=')[0]
+    near = get_close_matches(
+        given, re.findall(r'--[a-z-]+', commands[command].format_help()), n=1)
+    meant = f'; did you mean {near[0]}?' if near else '.'
+    what = 'option' if given.startswith('-') else 'argument'
+    return f'{command} takes no {what} {given}{meant} See {command} --help'
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:
@@ -112,7 +129,10 @@ def _commands(argv: Sequence[str]) -> tuple[str, ...]:
     return (argv[0],) if argv and argv[0] in _COMMANDS else _COMMANDS
 
 
-def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+def _parser(
+    argv: Sequence[str],
+) -> tuple[argparse.ArgumentParser, Mapping[str, argparse.ArgumentParser]]:
+    """Return the parser, and those of the commands by name."""
     parser = argparse.ArgumentParser(
         prog='trajectory_calibration',
         description='Estimate the extrinsic transform between two sensors from their trajectories '
@@ -123,4 +143,4 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         module = import_module(f'trajectory_calibration.cli.{command}')
         module.add_parser(subparsers)
         subparsers.choices[command].set_defaults(run=module.run)
-    return parser
+    return parser, subparsers.choices

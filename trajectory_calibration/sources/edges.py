@@ -92,9 +92,9 @@ class Edge:
         longest = max(parts, key=len)
         if len(parts) > 1:
             notes.append(
-                f'the time of {self} ran backwards {counted(len(parts) - 1, "time")} (was the bag '
-                f'or the simulation restarted?): kept {len(longest)} of {len(stamps_ns)} '
-                'transforms')
+                f'the time of {self} ran backwards {counted(len(parts) - 1, "time")} (bag or '
+                'simulation restarted, or bags that overlap?): kept '
+                f'{len(longest)} of {counted(len(stamps_ns), "transform")}')
         stamps_ns, first = np.unique(stamps_ns[longest], return_index=True)
         return stamps_ns, poses[longest][first]
 

@@ -137,9 +137,10 @@ def _find_folder(path: Path) -> Bag:
     with border(reasons.append):
         listed, declared = _metadata(path)
     if reasons and not present:
-        raise SourceError(
-            f'{path} is not a bag: no metadata.yaml that can be read ({reasons[0]}), and no .mcap '
-            'or .db3 file; give a folder that ros2 bag wrote, or a bag file')
+        held = (f'its metadata.yaml cannot be read ({reasons[0]}), and it holds no'
+                if (path / 'metadata.yaml').exists() else 'it holds no metadata.yaml,')
+        raise SourceError(f'{path} is not a bag: {held} .mcap or .db3 file; give a folder that '
+                          'ros2 bag wrote, or a bag file')
     if reasons:
         reason = (f'is damaged ({reasons[0]})' if (path / 'metadata.yaml').exists()
                   else 'is missing')
