@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 import sys
+from textwrap import fill
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.errors import ConfigError, ResultError
@@ -19,7 +20,9 @@ from trajectory_calibration.result import CalibrationResult
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
-    formats = '\n'.join(f'  {name:<10} {item.sentence}' for name, item in EXPORTS.items())
+    formats = '\n'.join(fill(
+        item.sentence, 79, initial_indent=f'  {name:<10} ', subsequent_indent=13 * ' ')
+        for name, item in EXPORTS.items())
     parser = subparsers.add_parser(
         'export', help='write a saved result as URDF, static transform, Autoware, Kalibr, ...',
         usage='%(prog)s RESULT --as FORMAT [options]',
@@ -27,8 +30,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description='Write the extrinsic of a saved result for another tool. The parent is '
         'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
         epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
-        'URDF),\nx,y,z,qx,qy,qz,qw, or a file. Exit status: 0 done; 3 a direction is '
-        'unknown: written with\n--allow-unobserved only; 1 not written.')
+        'URDF),\nx,y,z,qx,qy,qz,qw, or a file.\n\nExit status: 0 done; 3 a direction is unknown: '
+        'written with --allow-unobserved\nonly; 1 not written.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
     parser.add_argument(
         '--as', dest='format', required=True, choices=tuple(EXPORTS), metavar='FORMAT',
