@@ -60,7 +60,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
             f'--clock-drift-{name}', type=float, metavar='S/S', help='its clock is faster by this')
         group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='intervals without poses')
         group.add_argument(f'--gap-{name}', type=float, metavar='S', help='their length')
-        group.add_argument(f'--frame-{name}', metavar='FRAME', help='name of its frame')
+        group.add_argument(f'--frame-{name}', dest=f'sensor_frame_{name}', metavar='FRAME',
+                           help='name of its frame')
     parser.add_argument(
         '--format', choices=FORMATS, default='tum', help='of the trajectories (default: tum)')
     parser.add_argument(
@@ -110,15 +111,8 @@ def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         changes['duration'] = arguments.duration
     for name in 'ab':
         sensor = getattr(scenario, name)
-        given = {
-            'rate': getattr(arguments, f'rate_{name}'),
-            'clock_offset': getattr(arguments, f'clock_offset_{name}'),
-            'clock_drift': getattr(arguments, f'clock_drift_{name}'),
-            'gaps': getattr(arguments, f'gaps_{name}'),
-            'gap': getattr(arguments, f'gap_{name}'),
-            'sensor_frame': getattr(arguments, f'frame_{name}'),
-        }
-        given = {key: value for key, value in given.items() if value is not None}
+        given = {item.name: value for item in fields(sensor)
+                 if (value := getattr(arguments, f'{item.name}_{name}', None)) is not None}
         noise = _changed_noise(sensor.noise, name, arguments.noise)
         changes[name] = replace(sensor, noise=noise, **given)
     return replace(scenario, **changes)

@@ -105,7 +105,7 @@ class FileSource:
         if not len(raw.poses):
             raise SourceError(f'{self.path} holds no poses')
         keep = self._usable(raw)
-        stamps_ns, poses = raw.stamps_ns, raw.poses[keep]
+        stamps_ns, poses = raw.stamps_ns, raw.poses if keep.all() else raw.poses[keep]
         if stamps_ns is None:
             raise SourceError(
                 f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
