@@ -10,7 +10,14 @@ from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs
-from trajectory_calibration.rig.observed import drawn_near, limits_of, misfit, probability
+from trajectory_calibration.rig.observed import (
+    drawn_near,
+    limits_of,
+    misfit,
+    open_directions,
+    probability,
+    without,
+)
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import random_pose, Sensor
@@ -58,6 +65,20 @@ def test_an_open_direction_has_no_say_however_the_axes_are_turned():
         assert value == pytest.approx(wanted[0], rel=0.01)
 
 
+def test_a_weight_without_a_direction_is_that_of_the_best_step_along_it():
+    rng = np.random.default_rng(3)
+    W, step = np.linalg.inv(covariance(rng)), 0.01 * rng.standard_normal(6)
+    height = 0.5 * np.eye(6)[:, [2]] + 0.01 * np.eye(6)[:, [4]]
+    value = step @ without(W, height) @ step
+    # However far the step is moved along what is open, and never more than with it.
+    moved = step + 7.0 * height[:, 0]
+    assert moved @ without(W, height) @ moved == pytest.approx(value, rel=1e-6)
+    best = -(height[:, 0] @ W @ step) / (height[:, 0] @ W @ height[:, 0])
+    nearest = step + best * height[:, 0]
+    assert value == pytest.approx(nearest @ W @ nearest, rel=1e-6)
+    np.testing.assert_array_equal(without(W, np.zeros((6, 0))), W)
+
+
 def test_chance_of_nothing_is_one():
     assert probability(0.0, 0) == 1.0
     assert probability(float('nan'), 6) == 1.0
@@ -72,6 +93,7 @@ def test_an_answer_comes_near_along_what_is_open_only():
     np.testing.assert_array_equal(same, far)
     np.testing.assert_array_equal(unchanged, P)
     P[2, 2] = 100.0
+    np.testing.assert_allclose(np.abs(open_directions(P, LIMITS)), LIMITS[2] * np.eye(6)[:, [2]])
     drawn, wider = drawn_near(far, P, near, LIMITS)
     np.testing.assert_allclose(
         se3.step_between(near, drawn), [0.01, -0.02, 0, 0.001, 0, 0], atol=1e-9)

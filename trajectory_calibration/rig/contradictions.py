@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.clocks import Clock
-from trajectory_calibration.rig.observed import probability
+from trajectory_calibration.rig.observed import probability, without
 from trajectory_calibration.rig.windows import Grid, Level, TWIST
 
 # Blocks that a drive is cut into, at least, to find when a mount moved.
@@ -63,6 +63,7 @@ class Moved:
 
 def find_moved(
     levels: Sequence[Level], noise: FloatArray, X: FloatArray, grid: Grid,
+    free: Sequence[FloatArray],
 ) -> Moved | None:
     """Return the sensor whose extrinsic before some moment is surest another one than after it.
 
@@ -71,7 +72,7 @@ def find_moved(
     once. So at every large jump the change of the extrinsic is asked whether it is the jump
     rather than zero, which is one question instead of six; elsewhere whether it is zero.
     ``noise`` (T, S, 6, 6) are the covariances of the differences of each sensor; ``X`` (S, 4, 4)
-    the sensors in the base.
+    the sensors in the base; ``free`` (S,) the (6, K) twists about the base that are open.
     """
     sensors = noise.shape[1]
     count = int(levels[0].last[-1]) + 1
@@ -85,7 +86,8 @@ def find_moved(
     half = min(2 ** best, size)
     steps, samples = _steps(grid, half)
     for s in range(sensors):
-        evidence = _Evidence(*_blocks(levels, noise, s, size, blocks))
+        evidence = _Evidence(*_blocks(levels, noise, s, size, blocks), free[s])
+        degrees = 6 - free[s].shape[1]
         tried = [(cut * size, None, *told) for cut in range(blocks)
                  if (told := evidence.change(cut, cut)) is not None]
         jumps = [(sample, jump, *told)
@@ -94,14 +96,14 @@ def find_moved(
         for sample, jump, change, weight in (*tried, *jumps):
             twist = change if jump is None else jump
             chi_squared = float(change @ weight @ change)
-            p_value = probability(chi_squared, 6) * len(tried)
+            p_value = probability(chi_squared, degrees) * len(tried)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.
                 p_value = math.erfc(math.sqrt(max(chi_squared, 0.0) / 2)) / 2 * len(jumps)
             step = twist.copy()
             step[:3] += np.cross(twist[3:], X[s, :3, 3])
-            found.append(Moved(s, sample, step, chi_squared, 6 if jump is None else 1,
+            found.append(Moved(s, sample, step, chi_squared, degrees if jump is None else 1,
                                min(1.0, p_value * sensors)))
     return min(found, key=lambda item: (item.p_value, -item.chi_squared), default=None)
 
@@ -188,10 +190,11 @@ def _mean(P: _Numbers, W: _Numbers, values: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """Of one sensor against all others: (B, 6) scores and (B, 6, 6) information of blocks."""
+    """Of one sensor against all others: (B, 6) scores, (B, 6, 6) information, what is open."""
 
     score: FloatArray
     information: FloatArray
+    free: FloatArray
 
     def change(self, until: int, since: int) -> tuple[FloatArray, FloatArray] | None:
         """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight."""
@@ -211,7 +214,8 @@ class _Evidence:
         scatter = np.einsum(
             'bi,bi->', left, np.linalg.solve(used + untold, left[:, :, None])[:, :, 0])
         inflation = max(1.0, float(scatter) / (6 * (len(left) - 2)))
-        return x[1] - x[0], H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
+        weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
+        return x[1] - x[0], without(weight, self.free)
 
 
 def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int, float]]:

@@ -55,7 +55,7 @@ def doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
     if len(tree.names) < 3:
         return doubted, found
     if tree.noise is not None and tree.grid is not None:
-        moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid)
+        moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid, tree.free_twists())
         if moved is not None and moved.p_value < FALSE_ALARM:
             seconds = 1e-9 * float(tree.grid.stamps_ns[moved.sample] - tree.grid.stamps_ns[0])
             name = tree.names[moved.sensor]

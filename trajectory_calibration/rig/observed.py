@@ -46,6 +46,22 @@ def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
     return rows
 
 
+def open_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return (6, K) the open directions of a (6, 6) covariance, as long as their limits."""
+    values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
+    found: FloatArray = limits[:, None] * vectors[:, values >= 1.0]
+    return found
+
+
+def without(weight: FloatArray, free: FloatArray) -> FloatArray:
+    """Return the (6, 6) weight of a step of which the (6, K) free directions say nothing."""
+    if not free.shape[1]:
+        return weight
+    along = weight @ free
+    left: FloatArray = weight - along @ np.linalg.pinv(free.T @ along) @ along.T
+    return left
+
+
 def probability(value: float, degrees: int) -> float:
     """Return how often chance exceeds a chi-squared; 1 without degrees of freedom."""
     if degrees <= 0 or not np.isfinite(value):
@@ -62,11 +78,10 @@ def drawn_near(
     An open direction is as sure as the rotations are: what these leave of the way that the answer
     is moved is added to its (6, 6) covariance, which is returned beside it.
     """
-    values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
-    free = vectors[:, values >= 1.0]
+    free = open_directions(P, limits)
     if not free.shape[1]:
         return T, P
-    way = limits * (free @ (free.T @ (se3.step_between(near, T) / limits)))
+    way = free @ (free.T @ (se3.step_between(near, T) / limits**2))
     swung = se3.skew(way[:3])
     wider = P.copy()
     wider[:3, :3] += swung @ P[3:, 3:] @ swung.T

@@ -24,13 +24,14 @@ from trajectory_calibration.rig.noise import (
     SensorNoise,
     white_and_drift,
 )
-from trajectory_calibration.rig.observed import drawn_near, limits_of
+from trajectory_calibration.rig.observed import drawn_near, limits_of, open_directions
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,
     carried_to_stated,
     correlations,
     joint_covariance,
     ROUNDING,
+    twist_to_step,
 )
 from trajectory_calibration.rig.windows import (
     CLOCK,
@@ -103,6 +104,16 @@ class Tree:
     def ends(self) -> list[tuple[int, int]]:
         """Return parent and child of each pair."""
         return [(pair.parent, pair.child) for pair in self.pairs]
+
+    def free_twists(self) -> list[FloatArray]:
+        """Return (S,) the (6, K) twists about the base that even the best pair leaves open."""
+        free = [np.eye(6)] * len(self.names)
+        for p, (i, j) in enumerate(self.ends):
+            to_base = np.linalg.inv(twist_to_step(self.start[i], self.start[j]))
+            of_pair = open_directions(to_base @ self.C[p, :, p] @ to_base.T, self.limits)
+            for s in (i, j):
+                free[s] = min(free[s], of_pair, key=lambda columns: columns.shape[1])
+        return free
 
     def fuse(
         self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
