@@ -136,7 +136,7 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     """
     found = []
     for lag in lag_grid(pairs.stamps_ns, _LAGS):
-        motions = _plausible(T_a_b, thinned_to(select_motions(pairs, f'B{lag}'), _MOTIONS))
+        motions = _plausible(T_a_b, select_motions(pairs, f'B{lag}', _MOTIONS))
         found.append(split_equations(T_a_b, motions, linear.frobenius))
     return min(found, key=lambda excited: len(excited.unobserved))
 

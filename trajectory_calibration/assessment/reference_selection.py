@@ -17,6 +17,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.covariance import most_likely, MostLikely
 from trajectory_calibration.assessment.excitation import thinned_to
+from trajectory_calibration.assessment.input_checks import require_fit
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import (
     AUTOMATIC,
@@ -84,6 +85,9 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
         return ReferenceChoice(usual)
     try:
         known = most_likely(pairs, config)
+        if config.input_checks:
+            # What is refused as an answer is none to judge others by.
+            require_fit(known.T_a_b, pairs, ('a', 'b'), 'drift_aware')
     except (MotionError, SolverError) as error:
         # Whether the motion is enough is for the solver that was asked for to say.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')

@@ -159,8 +159,10 @@ def lag_grid(
     return tuple(sorted(lag for lag in lags if lag <= longest)) or (1,)
 
 
-def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:
+def select_motions(pairs: PosePairs, reference: str, at_most: int | None = None) -> MotionPairs:
     """Form the relative motions of both sensors for a reference selection.
+
+    Every n-th of them, ``at_most`` so many, where that is given.
 
     Raises
     ------
@@ -169,6 +171,9 @@ def select_motions(pairs: PosePairs, reference: str) -> MotionPairs:
 
     """
     i, j = reference_indices(reference, len(pairs))
+    if at_most is not None:
+        every = max(1, -(-len(i) // at_most))
+        i, j = i[::every], j[::every]
     return MotionPairs(
         reference=normal_reference(reference),
         i=i,

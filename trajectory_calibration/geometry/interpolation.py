@@ -20,13 +20,16 @@ _FARTHEST_TURN = np.pi / 2
 # the median on, which noise itself reaches by chance.
 _LEAP, _AROUND = 8.0, 11
 
+# Poses that are worked on at once: what they need stays in the cache of a processor.
+_CHUNK = 4096
+
 
 def left_of(stamps_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[np.intp]:
     """Return with which of at least two sorted stamps the step begins that holds each time.
 
     Outside of all of them it is the first or the last step.
     """
-    return np.clip(np.searchsorted(stamps_ns, at_ns), 1, len(stamps_ns) - 1) - 1
+    return np.minimum(np.maximum(np.searchsorted(stamps_ns, at_ns), 1), len(stamps_ns) - 1) - 1
 
 
 def interpolate(
@@ -63,26 +66,41 @@ def interpolate(
     """
     left = left_of(stamps_ns, at_ns)
     since, gap = at_ns - stamps_ns[left], stamps_ns[left + 1] - stamps_ns[left]
-    result = se3.interpolate(poses[left], poses[left + 1], since / gap)
-    between = np.flatnonzero((since > 0) & (since < gap))
-    if not len(between):
-        return result
-    around = left[between, None] + np.arange(-1, 3)
+    inside = (since > 0) & (since < gap)
+    leaps = _leaps(stamps_ns, poses) if inside.any() else np.zeros(len(poses), bool)
+    result = np.empty((len(at_ns), 4, 4))
+    for start in range(0, len(at_ns), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        found, near = result[part], left[part]
+        found[:] = se3.interpolate(poses[near], poses[near + 1], since[part] / gap[part])
+        between = np.flatnonzero(inside[part])
+        if len(between):
+            found[between] = _bent(
+                found[between], stamps_ns, poses, at_ns[part][between], near[between],
+                max_gap_ns, leaps)
+    return result
+
+
+def _bent(
+    result: FloatArray, stamps_ns: NDArray[np.int64], poses: FloatArray,
+    at_ns: NDArray[np.int64], left: NDArray[np.intp], max_gap_ns: int | None,
+    leaps: NDArray[np.bool_],
+) -> FloatArray:
+    """Return the (K, 4, 4) poses of ``interpolate`` from those of the geodesics."""
+    around = left[:, None] + np.arange(-1, 3)
     known = (around >= 0) & (around < len(stamps_ns))
     around = np.clip(around, 0, len(stamps_ns) - 1)
     if max_gap_ns is not None:
         known[:, [0, 3]] &= np.diff(stamps_ns[around], axis=1)[:, [0, 2]] <= max_gap_ns
-    origin = se3.inverse(result[between])
+    origin = se3.inverse(result)
     tangents = np.stack([se3.log_se3(origin @ poses[k]) for k in around.T], axis=1)
     known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _FARTHEST_TURN
-    leaps = _leaps(stamps_ns, poses)
     known[:, 0] &= ~leaps[around[:, 1]]
     known[:, 3] &= ~leaps[around[:, 2]]
-    weights = _lagrange((stamps_ns[around] - at_ns[between, None]) * 1e-9, known)
+    weights = _lagrange((stamps_ns[around] - at_ns[:, None]) * 1e-9, known)
     sound = np.einsum('ij,ij->i', weights, weights) <= 1
     steps = np.einsum('ij,ijk->ik', weights[sound], tangents[sound])
-    between = between[sound]
-    result[between] = result[between] @ se3.exp_se3(steps)
+    result[sound] = result[sound] @ se3.exp_se3(steps)
     return result
 
 
@@ -92,7 +110,11 @@ def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]
     if len(poses) < _AROUND:
         return leaps
     seconds = np.diff(stamps_ns)[:, None] * 1e-9
-    twists = se3.log_se3(se3.inverse(poses[:-1]) @ poses[1:]) / seconds
+    twists = np.empty((len(seconds), 6))
+    for start in range(0, len(twists), _CHUNK):
+        part = poses[start:start + _CHUNK + 1]
+        twists[start:start + _CHUNK] = se3.log_se3(se3.inverse(part[:-1]) @ part[1:])
+    twists /= seconds
     # The second divided difference, which is what the cubic adds to the geodesic.
     change = np.diff(twists, axis=0) / (seconds[:-1] + seconds[1:])
     for part in (change[:, :3], change[:, 3:]):

@@ -84,18 +84,19 @@ def rotation_to_quaternion(rotations: ArrayLike) -> FloatArray:
     for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
         q[..., i] = R[..., j, k] - R[..., k, j]
     q[..., 3] = 1 + trace
-    # It is the largest of all turns below 90 degrees, which most arrays hold and nothing else.
-    if np.any(trace <= 1):
-        q = _row_with_largest_pivot(R, diagonal, trace, q)
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    # It is the largest of all turns below 90 degrees, which most arrays hold and hardly another.
+    large = trace <= 1
+    if np.any(large):
+        q[large] = _row_with_largest_pivot(R[large], diagonal[large], trace[large], q[large])
+    q /= np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
     return np.where(q[..., 3:] < 0, -q, q)
 
 
 def _row_with_largest_pivot(
     R: FloatArray, diagonal: FloatArray, trace: FloatArray, last: FloatArray,
 ) -> FloatArray:
-    """Return (..., 4) rows of 4 q q^T, of which the ``last`` are known."""
-    K = np.empty((*R.shape[:-2], 4, 4))
+    """Return (K, 4) rows of 4 q q^T, of which the ``last`` are known."""
+    K = np.empty((len(R), 4, 4))
     K[..., 3, :] = K[..., :, 3] = last
     for i in range(3):
         K[..., i, i] = 1 - trace + 2 * diagonal[..., i]
@@ -140,7 +141,7 @@ def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
 def log_so3(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
     q = rotation_to_quaternion(rotations)
-    sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    sine = np.sqrt(np.sum(q[..., :3]**2, axis=-1, keepdims=True))
     # A copy, because NumPy takes its vectorised or its scalar arctan2, which differ in the last
     # bit, by where a strided operand happens to lie in memory: an answer could not be repeated.
     cosine = np.ascontiguousarray(q[..., 3:])

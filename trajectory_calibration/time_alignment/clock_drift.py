@@ -136,9 +136,9 @@ def _regress(
     with three of its own.
     """
     shift_ns = round(shift * 1e9)
-    of_a = turning.of_a(shift_ns, rate)
-    slope = (turning.of_a(shift_ns + half_ns, rate)
-             - turning.of_a(shift_ns - half_ns, rate)) / (2e-9 * half_ns)
+    (of_a, later, earlier), _ = turning.of_a_with_noise(
+        shift_ns + half_ns * np.array([0, 1, -1]), rate)
+    slope = (later - earlier) / (2e-9 * half_ns)
     # Who turns at a constant rate agrees at any offset, but for rounding.
     if np.sum(slope**2) * (half_ns * 1e-9)**2 <= ROUNDING * np.sum(of_a**2):
         return None
@@ -153,18 +153,17 @@ def _regress(
     weights = known / (1 + (size / (_TAIL * usual))**2)
     weighted = weights[:, None, None] * J
     # About an axis that nothing turned about, the rotation is open: no part of the answer.
-    inverse = np.linalg.pinv(np.einsum('kij,kil->jl', weighted, J), rcond=ROUNDING, hermitian=True)
-    step = inverse @ np.einsum('kij,ki->j', weighted, residual)
+    inverse = np.linalg.pinv(_gram(weighted, J), rcond=ROUNDING, hermitian=True)
+    step = inverse @ _gram(weighted, residual)
     rest: FloatArray = residual - J @ step
     variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * turning.overlapping)
-    white = variance * inverse @ np.einsum('kij,kil->jl', weighted, weighted) @ inverse
+    white = variance * inverse @ _gram(weighted, weighted) @ inverse
     # Beside what a clock that was set does: that is no noise, but for find_clock_drift to say.
     quarters = slope[:, :, None] * _quarters(turning)[:, None, :]
     J_quarters = np.concatenate([quarters, J[:, :, -3:]], axis=2)
     beside = weights[:, None, None] * J_quarters
-    normal = np.einsum('kij,kil->jl', beside, J_quarters)
-    fitted = np.linalg.pinv(normal, rcond=ROUNDING, hermitian=True) @ np.einsum(
-        'kij,ki->j', beside, rest)
+    fitted = np.linalg.pinv(_gram(beside, J_quarters), rcond=ROUNDING, hermitian=True) @ _gram(
+        beside, rest)
     scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ fitted) @ inverse
     n = basis.shape[1]
     squares = np.diag(white)[:n]
@@ -172,6 +171,13 @@ def _regress(
     if n < 4:
         squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
     return step[:n], np.sqrt(np.maximum(squares, 0.0))
+
+
+def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return (n, m) or (n,): products of (K, 3, n) and (K, 3, m) or (K, 3), summed over K."""
+    rows = left.reshape(-1, left.shape[2]).T
+    result: FloatArray = rows @ right.reshape(rows.shape[1], *right.shape[2:])
+    return result
 
 
 def _place(turning: Turning) -> FloatArray:

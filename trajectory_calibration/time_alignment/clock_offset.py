@@ -18,6 +18,7 @@ import numpy as np
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.clock_drift import (
     find_clock_drift,
     half_width_ns,
@@ -254,7 +255,7 @@ def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | N
     shift, curvature = 0.0, 0.0
     for reach_s in [widest] * _PARABOLAS + [last] * _PARABOLAS:
         around = np.linspace(-1.0, 1.0, _POINTS)
-        values, noise = np.transpose([_disagreement(turning, shift + reach_s * d) for d in around])
+        values, noise = _disagreement(turning, shift + reach_s * around)
         # Interpolation averages noise, the most half-way between two poses: what it takes away
         # there is no agreement, but one more column.
         columns = np.column_stack([around**2, around, np.ones(_POINTS), noise - noise.mean()])
@@ -268,7 +269,7 @@ def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | N
             return float(np.clip(shift, -widest, widest)), None
     # Without noise the disagreement is rounding, which may fall below zero, and what the motion
     # between the poses of a leaves open.
-    rest = (max(_disagreement(turning, shift)[0], 0.0)
+    rest = (max(_disagreement_at(turning, shift), 0.0)
             + 0.5 * curvature * (STEP_SHARE * step_a_s)**2)
     variance = rest / (3 * len(turning)) * turning.overlapping
     std = np.hypot(np.sqrt(2 * variance / curvature), STEP_SHARE * step_a_s)
@@ -276,13 +277,17 @@ def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | N
         shift, float(std), rest / len(turning), len(turning) / turning.overlapping)
 
 
-def _disagreement(turning: Turning, shift_s: float) -> tuple[float, float]:
-    """Return the sum of squared differences after a shift, and the share of noise in a."""
-    turned_a, noise = turning.of_a_with_noise(round(shift_s * 1e9))
-    M = turned_a.T @ turning.of_b
-    singular = np.linalg.svd(M, compute_uv=False)
-    gain = singular.sum() - 2 * singular[2] * (np.linalg.det(M) < 0)
-    return float(np.sum(turned_a**2) + turning.turned - 2 * gain), noise
+def _disagreement(turning: Turning, shifts_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (S,) sums of squared differences after shifts, and (S,) the shares of noise in a."""
+    turned_a, noise = turning.of_a_with_noise(np.rint(1e9 * shifts_s).astype(np.int64))
+    M = np.moveaxis(turned_a, -1, -2) @ turning.of_b
+    singular = np.asarray(np.linalg.svd(M, compute_uv=False))
+    gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(M) < 0)
+    return (turned_a**2).sum(axis=(1, 2)) + turning.turned - 2 * gain, noise
+
+
+def _disagreement_at(turning: Turning, shift_s: float) -> float:
+    return float(_disagreement(turning, np.array([shift_s]))[0][0])
 
 
 def _no_better_than_none(turning: Turning, valley: _Valley, start_ns: int) -> _Valley:
@@ -293,7 +298,7 @@ def _no_better_than_none(turning: Turning, valley: _Valley, start_ns: int) -> _V
     """
     if abs(start_ns) > turning.a.usual_step_ns:
         return valley
-    at_zero = _disagreement(turning, -start_ns * 1e-9)[0] / len(turning)
+    at_zero = _disagreement_at(turning, -start_ns * 1e-9) / len(turning)
     if at_zero > valley.disagreement:
         return valley
     return replace(valley, seconds=0.0, std=max(valley.std, abs(valley.seconds)))

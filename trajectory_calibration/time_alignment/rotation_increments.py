@@ -107,18 +107,20 @@ class Turning:
 
         These are later by ``shift_ns`` in the middle, and by ``drift`` (s/s) more from there on.
         """
-        return self.of_a_with_noise(shift_ns, drift)[0]
+        return self.of_a_with_noise(np.array([shift_ns]), drift)[0][0]
 
-    def of_a_with_noise(self, shift_ns: int, drift: float = 0.0) -> tuple[FloatArray, float]:
-        """Return ``of_a``, and how much of the noise of a pose is in it.
+    def of_a_with_noise(
+        self, shifts_ns: NDArray[np.int64], drift: float = 0.0,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return (S, K, 3), ``of_a`` for (S,) shifts, and (S,) how much of the noise is in it.
 
         That is the mean over the windows of the variances at both ends, for a variance of one of a
         pose: half-way between two poses half of it is left.
         """
         (start, at_start), (end, at_end) = (
-            self._rotation_at(self._moved(times, shift_ns, drift))
+            self._rotation_at(self._moved(times, shifts_ns[:, None], drift))
             for times in (self.starts_ns, self.ends_ns))
-        return se3.log_so3(np.swapaxes(start, 1, 2) @ end), at_start + at_end
+        return _turn_between(start, end), at_start + at_end
 
     def known(self, shift_ns: int, drift: float, reach_ns: int) -> NDArray[np.bool_]:
         """Tell which of the moved windows begin and end in no gap of a, nor near its ends."""
@@ -127,19 +129,51 @@ class Turning:
         return start & end
 
     def _moved(
-        self, times: NDArray[np.int64], shift_ns: int, drift: float,
+        self, times: NDArray[np.int64], shift_ns: int | NDArray[np.int64], drift: float,
     ) -> NDArray[np.int64]:
         moved = times + shift_ns
         if drift != 0.0:
             moved += np.rint(drift * (times - self.middle_ns)).astype(np.int64)
         return moved
 
-    def _rotation_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, float]:
-        stamps = self.a.stamps_ns
-        left = left_of(stamps, times)
-        fraction = (times - stamps[left]) / (stamps[left + 1] - stamps[left])
-        rotation = self.a.rotations[left] @ se3.exp_so3(fraction[:, None] * self.a.turns[left])
-        return rotation, float(np.mean(fraction**2 + (1 - fraction)**2))
+    def _rotation_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+        """Return (4, S, K) quaternions of a at (S, K) times, and the (S,) noise in them."""
+        left = left_of(self.a.stamps_ns, times)
+        begin, step_ns, half, sine = (np.take(values, left) for values in (
+            self.a.stamps_ns, *self._steps))
+        fraction = (times - begin) / step_ns
+        rest = 1.0 - fraction
+        q = np.sin(rest * half) / sine * np.take(self._quaternions, left, axis=1)
+        q += np.sin(fraction * half) / sine * np.take(self._quaternions, left + 1, axis=1)
+        return q, np.mean(fraction * fraction + rest * rest, axis=1)
+
+    @cached_property
+    def _quaternions(self) -> FloatArray:
+        """(4, N), x, y, z, w of a; neighbours on the same side, to be interpolated as they are."""
+        q = np.ascontiguousarray(se3.rotation_to_quaternion(self.a.rotations).T)
+        dots = np.einsum('in,in->n', q[:, :-1], q[:, 1:])
+        q[:, 1:] *= np.cumprod(np.where(dots < 0, -1.0, 1.0))
+        return q
+
+    @cached_property
+    def _steps(self) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+        """(N - 1,) of the steps of a: nanoseconds, half of the angle, its sine; never zero."""
+        half = 0.5 * np.linalg.norm(self.a.turns, axis=1)
+        half = np.maximum(half, 1e-150)
+        return np.diff(self.a.stamps_ns), half, np.sin(half)
+
+
+def _turn_between(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return (S, K, 3) rotation vectors from (4, S, K) quaternions to others, in their axes."""
+    (x, y, z, w), (u, v, t, c) = start, end
+    axis = np.stack([
+        w * u - c * x - y * t + z * v,
+        w * v - c * y - z * u + x * t,
+        w * t - c * z - x * v + y * u])
+    cosine = w * c + x * u + y * v + z * t
+    sine = np.maximum(np.sqrt(np.einsum('isk,isk->sk', axis, axis)), 1e-150)
+    axis *= np.copysign(2 * np.arctan2(sine, np.abs(cosine)) / sine, cosine)
+    return np.moveaxis(axis, 0, -1)
 
 
 def _spread(count: int) -> tuple[NDArray[np.intp], int]:

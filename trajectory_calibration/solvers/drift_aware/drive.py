@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_translation
+from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_translation, skew
 from trajectory_calibration.solvers.drift_aware.algebra import (
     apply,
     exp,
@@ -163,7 +163,7 @@ def correct(drive: Drive, state: State) -> Corrected:
     return Corrected(
         R_ax=R_a @ R_x,
         p_ax=R_a @ t_x + p_a,
-        by_offset=np.c_[(v + np.cross(w, t_x)) @ R_x, w @ R_x],
+        by_offset=drive.twist_a @ np.block([[R_x, np.zeros((3, 3))], [skew(t_x) @ R_x, R_x]]),
         p_b=by_terms[:, :, 0] + by_terms[:, :, 1:4] @ drift + latency * drive.velocity_b,
         by_terms=by_terms)
 
@@ -176,7 +176,7 @@ def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:
     """
     m = scale * drive.step_b
     along, rest = m @ drift, 1.0 - drift @ drift
-    length = (np.sqrt(along**2 + rest * (m**2).sum(axis=1)) + along) / rest
+    length = (np.sqrt(along**2 + rest * np.einsum('ni,ni->n', m, m)) + along) / rest
     result = np.zeros((len(drive), 3, 3))
     np.cumsum(length[:, None, None] * drive.R_b[:-1], axis=0, out=result[1:])
     return result

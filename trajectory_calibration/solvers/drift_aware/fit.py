@@ -123,7 +123,8 @@ def fit(
         prior = np.where(free, prior, 1.0)
         found = contrast(drive, state, tree, noise.of_pose(state.T_a_b), noise.walk, jumps,
                          weights)
-        found = replace(found, J=found.J * free)
+        if not free.all():
+            found = replace(found, J=found.J * free)
         if round_ in _TAIL_ROUNDS:
             noise = replace(noise, tail=student.find_tail(found.squares))
         weights = student.weights(found.squares, noise.tail)

@@ -38,52 +38,60 @@ def find_jumps(drive: Drive, at: Corrected) -> FloatArray:
     """Return (N - 1, 2): the variance per axis of jumps in translation and rotation, or zero."""
     last = len(drive) - 1
     i = np.arange(last)
-    one = residuals(drive, at, i, i + 1)
-    three = residuals(drive, at, np.maximum(i - 1, 0), np.minimum(i + 2, last))
-    result = np.zeros((last, 2))
-    for column, part in enumerate((TRANSLATION, ROTATION)):
-        short, variance = jump_probability((one[:, part]**2).sum(axis=1))
-        if (short <= _PROBABILITY).all():
-            continue
-        long, _ = jump_probability((three[:, part]**2).sum(axis=1))
-        result[:, column] = np.where(
-            (short > _PROBABILITY) & (long > _PROBABILITY), variance, 0.0)
+    short, variance = jump_probability(_squares(residuals(drive, at, i, i + 1)))
+    sudden = short > _PROBABILITY
+    if not sudden.any():
+        return np.zeros((last, 2))
+    long, _ = jump_probability(_squares(residuals(
+        drive, at, np.maximum(i - 1, 0), np.minimum(i + 2, last))))
+    result: FloatArray = np.where(sudden & (long > _PROBABILITY), variance[:, None], 0.0).T
     return result
 
 
-def jump_probability(squares: FloatArray) -> tuple[FloatArray, float]:
-    """Return (n,) the probabilities that lengths of 3-vectors, squared, are jumps.
+def _squares(e: FloatArray) -> FloatArray:
+    """Return (2, n): the squared lengths of translation and rotation of (n, 6)."""
+    return np.stack([np.einsum('ni,ni->n', e[:, part], e[:, part])
+                     for part in (TRANSLATION, ROTATION)])
 
-    Also the variance per axis of jumps. Expectation maximisation over all tails of the core at
-    once; the likelihood chooses.
+
+def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (k, n) the probabilities that lengths of 3-vectors, squared, are jumps.
+
+    Also the (k,) variances per axis of jumps. Expectation maximisation over all tails of the core
+    of all k rows at once; the likelihood chooses.
     """
-    largest = float(squares.max())
-    if largest <= 0:
-        return np.zeros(len(squares)), 0.0
-    logs = np.log(np.maximum(squares, _DECADES * largest))
-    lowest = float(logs.min())
-    width = max((float(logs.max()) - lowest) / _CLASSES, 1e-9)
+    largest = squares.max(axis=1, keepdims=True)
+    logs = np.log(np.maximum(squares, np.maximum(_DECADES * largest, 1e-300)))
+    lowest = logs.min(axis=1, keepdims=True)
+    width = np.maximum((logs.max(axis=1, keepdims=True) - lowest) / _CLASSES, 1e-9)
     of = np.minimum(((logs - lowest) / width).astype(np.intp), _CLASSES - 1)
-    counts = np.bincount(of, minlength=_CLASSES).astype(np.float64)
-    used = np.flatnonzero(counts)
-    c, r = counts[used], np.exp(lowest + width * (used + 0.5))
-    core = np.full((len(_TAILS), 1), max(float(np.median(squares)) / 2.4, float(r[0])))
-    wide = np.maximum(np.quantile(squares, 0.98) / 3, _WIDER * core)
+    counts = np.stack([np.bincount(row, minlength=_CLASSES) for row in of]).astype(np.float64)
+    # (k, 1, classes); what is found is (k, tails, 1).
+    r = np.exp(lowest + width * (np.arange(_CLASSES) + 0.5))[:, None]
+    # Sums over the classes: of how many, and of their squares.
+    sums = np.stack([counts, counts * r[:, 0]], axis=2)
+    total = counts.sum(axis=1)[:, None, None]
+    first = np.take_along_axis(r[:, 0], (counts > 0).argmax(axis=1)[:, None], axis=1)
+    core = np.maximum(np.median(squares, axis=1)[:, None] / 2.4, first)
+    core = np.repeat(core[:, None], len(_TAILS), axis=1)
+    wide = np.maximum(
+        np.quantile(squares, 0.98, axis=1)[:, None, None] / 3, _WIDER * core)
     share = np.full_like(core, 0.05)
     for _ in range(_ITERATIONS):
-        narrow = (_CONSTANT - 1.5 * np.log(core) - (_TAILS + 3) / 2 * np.log1p(r / core / _TAILS)
-                  + np.log1p(-share))
-        jump = np.log(share) - 1.5 * np.log(2 * np.pi * wide) - r / 2 / wide
-        probability = 1 / (1 + np.exp(np.clip(narrow - jump, -500, 500)))
-        stay = (1 - probability) * c
-        pulled = stay * (_TAILS + 3) / (_TAILS + r / core)
-        core = np.maximum((pulled @ r)[:, None] / 3 / (stay.sum(axis=1, keepdims=True) + 1e-9),
-                          1e-300)
-        jumps = (probability @ c)[:, None]
-        share = np.clip((jumps + 0.01) / (len(squares) + 1), 1e-9, _LARGEST_SHARE)
-        wide = np.maximum((probability @ (c * r))[:, None] / 3 / (jumps + 1e-12), _WIDER * core)
-    best = int(np.argmax(np.logaddexp(narrow, jump) @ c))
-    of_class = np.zeros(_CLASSES)
+        ratio = r / core
+        narrow = (_CONSTANT - 1.5 * np.log(core) + np.log1p(-share)) - (
+            0.5 * (_TAILS + 3)) * np.log(1 + ratio / _TAILS)
+        jump = (np.log(share) - 1.5 * np.log(2 * np.pi * wide)) - r * (0.5 / wide)
+        probability = 1 / (1 + np.exp(np.minimum(np.maximum(narrow - jump, -500), 500)))
+        pulled = ((1 - probability) * (_TAILS + 3) / (_TAILS + ratio)) @ sums[:, :, 1:]
+        of_jumps = probability @ sums
+        jumps, of_jumps = of_jumps[:, :, :1], of_jumps[:, :, 1:]
+        core = np.maximum(pulled / 3 / (total - jumps + 1e-9), 1e-300)
+        share = np.minimum(np.maximum(
+            (jumps + 0.01) / (squares.shape[1] + 1), 1e-9), _LARGEST_SHARE)
+        wide = np.maximum(of_jumps / 3 / (jumps + 1e-12), _WIDER * core)
+    best = (np.logaddexp(narrow, jump) @ sums[:, :, :1])[:, :, 0].argmax(axis=1)
+    row = np.arange(len(squares))
     # The wide normal is the denser of the two also where both vanish, close to zero.
-    of_class[used] = probability[best] * (r > 9 * core[best])
-    return of_class[of], float(wide[best, 0])
+    of_class = probability[row, best] * (r[:, 0] > 9 * core[row, best])
+    return np.take_along_axis(of_class, of, axis=1), wide[row, best, 0]

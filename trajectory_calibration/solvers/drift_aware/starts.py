@@ -11,6 +11,7 @@ smallest median residuals over all lags wins: jumps and outliers do not decide.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,9 @@ from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_transl
 from trajectory_calibration.solvers.drift_aware.algebra import (
     apply,
     exp,
+    lengths,
     log,
+    median,
     ROTATION,
     TRANSLATION,
     transposed,
@@ -70,12 +73,19 @@ class _Motions:
     R_b: FloatArray
     t_b: FloatArray
 
+    @cached_property
+    def usual(self) -> tuple[float, float]:
+        """Return the median way and turn of a."""
+        return median(lengths(self.t_a)), median(lengths(log(self.R_a)))
+
     def residuals(self, T_a_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return (M, 6) how far b is from a seen from b; the motion of a there: turn and way."""
         R, t = T_a_b[:3, :3], T_a_b[:3, 3]
         turn = R.T @ self.R_a @ R
         way = (self.R_a @ t + self.t_a - t) @ R
-        return np.c_[self.t_b - way, log(transposed(turn) @ self.R_b)], turn, way
+        e = np.empty((len(way), 6))
+        e[:, TRANSLATION], e[:, ROTATION] = self.t_b - way, log(transposed(turn) @ self.R_b)
+        return e, turn, way
 
 
 def _motions(drive: Drive, lag: int) -> _Motions:
@@ -106,8 +116,8 @@ def _poses(drive: Drive, seconds: float) -> int:
 def _misfit(T_a_b: FloatArray, motions: _Motions, size: float) -> float:
     """Return the log of the median residuals, of both kinds; rounding counts as none."""
     e, _, _ = motions.residuals(T_a_b)
-    return float(np.log(np.median(np.linalg.norm(e[:, TRANSLATION], axis=1)) + 1e-9 * size)
-                 + np.log(np.median(np.linalg.norm(e[:, ROTATION], axis=1)) + 1e-9))
+    return float(np.log(median(lengths(e[:, TRANSLATION])) + 1e-9 * size)
+                 + np.log(median(lengths(e[:, ROTATION])) + 1e-9))
 
 
 def _candidate(motions: _Motions) -> FloatArray:
@@ -117,7 +127,7 @@ def _candidate(motions: _Motions) -> FloatArray:
     for _ in range(_REWEIGHTINGS):
         U, values, Vt = np.linalg.svd((w[:, None] * of_a).T @ of_b)
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-        w = _trust(np.linalg.norm(of_a - of_b @ R.T, axis=1))
+        w = _trust(lengths(of_a - of_b @ R.T))
     begun = [from_rotation_translation(R, np.zeros(3))]
     if values[1] < _ONE_AXIS * values[0]:
         # What the rotations leave open, the translations tell: by quarters first.
@@ -130,7 +140,7 @@ def _candidate(motions: _Motions) -> FloatArray:
 
 def _trust(sizes: FloatArray) -> FloatArray:
     """Return the Cauchy weights of residuals by their median."""
-    return 1 / (1 + (sizes / (np.median(sizes) + 1e-12))**2)
+    return 1 / (1 + (sizes / (median(sizes) + 1e-12))**2)
 
 
 def _refined(T_a_b: FloatArray, motions: _Motions, rounds: int) -> FloatArray:
@@ -146,11 +156,10 @@ def _refined(T_a_b: FloatArray, motions: _Motions, rounds: int) -> FloatArray:
             # The rotation is good; the lever arm has to follow first.
             J[:, :, ROTATION] = 0.0
         root = []
-        for part, usual in ((TRANSLATION, motions.t_a), (ROTATION, log(motions.R_a))):
-            size = np.linalg.norm(e[:, part], axis=1)
+        for part, usual in zip((TRANSLATION, ROTATION), motions.usual, strict=True):
+            size = lengths(e[:, part])
             # Without noise in one of both, the other would be lost to rounding.
-            least = _LEAST * np.median(np.linalg.norm(usual, axis=1)) + 1e-9
-            root.append(np.sqrt(_trust(size)) / (np.median(size) + least))
+            root.append(np.sqrt(_trust(size)) / (median(size) + _LEAST * usual + 1e-9))
         rows = np.repeat(np.stack(root, axis=1), 3, axis=1).reshape(-1)
         A = J.reshape(-1, 6) * rows[:, None]
         normal = A.T @ A

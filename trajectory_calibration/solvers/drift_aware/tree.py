@@ -65,19 +65,22 @@ class Level:
 
     Attributes
     ----------
-    merging : (2 n,) the nodes that merge, all left ones, then all right ones.
+    left, right : (n,) the nodes that merge.
     kept : (nodes,) bool, which go on: those merged into, and one without a neighbour.
     merged : (n,) where the merged are among the kept.
     rows : where its contrasts are among those of all rounds.
-    moves : where its moves are among those of all rounds.
+    left_moves, right_moves : where the moves of both are among those of all rounds; None where
+        they are seen at the boundary.
 
     """
 
-    merging: Indices
+    left: Indices | slice
+    right: Indices | slice
     kept: NDArray[np.bool_]
     merged: Indices
     rows: slice
-    moves: slice
+    left_moves: slice
+    right_moves: slice | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,15 +146,19 @@ def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
         left, kept = right - 1, ~odd
         boundary = first[right]
         shorter = np.minimum(boundary - first[left], end[right] - boundary)
-        merging = np.concatenate([left, right])
         # In the first round the right ones are single poses, seen where they are.
-        moving = merging if levels else left
-        bodies.append(seen_at[moving])
-        poses.append(np.resize(boundary, len(moving)))
+        moving = (left, right) if levels else (left,)
+        moves = []
+        for nodes in moving:
+            bodies.append(seen_at[nodes])
+            poses.append(boundary)
+            moves.append(slice(move, move + len(nodes)))
+            move = moves[-1].stop
+        pairs = (_every_second(left), _every_second(right))
         levels.append(Level(
-            merging, kept, (np.cumsum(kept) - 1)[left],
-            slice(row, row + len(left)), slice(move, move + len(moving))))
-        row, move = row + len(left), move + len(moving)
+            *pairs, kept, (np.cumsum(kept) - 1)[left], slice(row, row + len(left)), moves[0],
+            moves[1] if levels else None))
+        row += len(left)
         boundaries.append(boundary)
         octaves.append(np.floor(np.log2(shorter) + 0.5).astype(np.intp))
         end[left], seen_at[left] = end[right], boundary
@@ -164,6 +171,12 @@ def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
         np.ascontiguousarray(transposed(R_b[where])) for where in (body, pose))
     return Plan(tuple(levels), body, pose, back_body @ R_b[pose], back_body, back_pose, order,
                 boundary[order], octave, begins)
+
+
+def _every_second(nodes: Indices) -> Indices | slice:
+    """Return the nodes as a slice where they are every second one: a view instead of a copy."""
+    first, last = int(nodes[0]), int(nodes[-1])
+    return slice(first, last + 1, 2) if last - first == 2 * (len(nodes) - 1) else nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,12 +204,14 @@ class _Moves:
     """What becomes of worlds that are seen at another pose of b.
 
     ``turn`` (m, 3, 3) and ``way`` (m, 3) are the motion of b, ``Ad`` (m, 6, 6) is the adjoint of
-    its inverse, ``by_terms`` (m, 3, 5) are its derivatives.
+    its inverse, ``Ad_transposed`` has the memory to be multiplied by, ``by_terms`` (m, 3, 5) are
+    its derivatives.
     """
 
     turn: FloatArray
     way: FloatArray
     Ad: FloatArray
+    Ad_transposed: FloatArray
     by_terms: FloatArray
 
     @classmethod
@@ -205,7 +220,9 @@ class _Moves:
         way, by_terms = (values[tree.pose] - values[tree.body] for values in (
             at.p_b, at.by_terms))
         way = apply(tree.back_body, way)
-        return cls(tree.turn, way, adjoint_of_inverse(tree.turn, way), tree.back_pose @ by_terms)
+        Ad = adjoint_of_inverse(tree.turn, way)
+        return cls(tree.turn, way, Ad, np.ascontiguousarray(transposed(Ad)),
+                   tree.back_pose @ by_terms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +287,8 @@ def _merge(
 ) -> _Worlds:
     """Return the nodes of the next round; put the contrasts of this one into ``found``."""
     d, J, V, inverse = found
-    n = len(d)
-    seen = _seen_at_boundary(moves, worlds, level)
-    one, two = seen.picked(slice(n)), seen.picked(slice(n, None))
+    one = _seen_at_boundary(moves, level.left_moves, worlds.picked(level.left))
+    two = _seen_at_boundary(moves, level.right_moves, worlds.picked(level.right))
     back = np.ascontiguousarray(transposed(one.R))
     d[:, TRANSLATION], d[:, ROTATION] = apply(back, two.p - one.p), log(back @ two.R)
     np.subtract(two.J, one.J, out=J)
@@ -301,15 +317,13 @@ def _put(worlds: _Worlds, merged: _Worlds, level: Level) -> _Worlds:
     return result
 
 
-def _seen_at_boundary(moves: _Moves, worlds: _Worlds, level: Level) -> _Worlds:
-    """Return the worlds of the merging nodes as they are seen at their boundaries."""
-    result = worlds.picked(level.merging)
-    own = level.moves
-    moving = slice(own.stop - own.start)
-    Ad, R = moves.Ad[own], result.R[moving]
-    result.p[moving] += apply(R, moves.way[own])
-    result.R[moving] = R @ moves.turn[own]
-    result.J[moving] = Ad @ result.J[moving]
-    result.J[moving, TRANSLATION, SCALE:LATENCY + 1] += moves.by_terms[own]
-    result.P[moving] = Ad @ result.P[moving] @ transposed(Ad)
-    return result
+def _seen_at_boundary(moves: _Moves, own: slice | None, worlds: _Worlds) -> _Worlds:
+    """Return worlds after their moves."""
+    if own is None:
+        return worlds
+    Ad = moves.Ad[own]
+    J = Ad @ worlds.J
+    J[:, TRANSLATION, SCALE:LATENCY + 1] += moves.by_terms[own]
+    return _Worlds(
+        worlds.R @ moves.turn[own], worlds.p + apply(worlds.R, moves.way[own]), J,
+        Ad @ worlds.P @ moves.Ad_transposed[own])
