@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.comparison import Change, RigComparison
+from trajectory_calibration.rig.result import COMPONENTS
 
 
 def format_comparison(found: RigComparison) -> str:
@@ -19,12 +21,12 @@ def format_comparison(found: RigComparison) -> str:
                               f'{"chi-squared":>16}  verdict')]
     for item in found.sensors:
         (t, s_t), (R, s_R) = (
-            (factor * np.linalg.norm(item.step[part]), factor * np.linalg.norm(item.std[part]))
+            (factor * _length(item.step[part]), factor * _length(item.std[part]))
             for factor, part in ((1e3, slice(3)), (180 / np.pi, slice(3, 6))))
         lines.append(f'  {item.sensor:<14}{f"{t:.1f} +- {s_t:.1f}":>18}'
                      f'{f"{R:.3f} +- {s_R:.3f}":>18}'
                      f'{f"{item.chi_squared:.1f} of {item.degrees}":>16}  '
-                     f'{_verdict(found, item)}')
+                     f'{_verdict(found, item)}{_open(item)}')
     lines += [f'  {name:<14}{"not compared":>18}' for name in found.missing]
     return '\n'.join(lines) + '\n'
 
@@ -48,16 +50,30 @@ def comparison_data(found: RigComparison) -> dict[str, Any]:
         'p_value': found.p_value}
 
 
-def _rows(found: RigComparison) -> list[dict[str, str | float | int]]:
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _rows(found: RigComparison) -> list[dict[str, str | float | int | None]]:
     """Return what is told of each sensor: metres, degrees, chi-squared, verdict."""
     return [{
         'sensor': item.sensor, 'verdict': _verdict(found, item),
-        **{f'{kind}{axis}_{unit}': float(factor * values[3 * turn + k])
+        **{f'{kind}{axis}_{unit}': _number(factor * values[3 * turn + k])
            for turn, (unit, factor) in enumerate((('m', 1.0), ('deg', 180 / np.pi)))
            for k, axis in enumerate('xyz')
            for kind, values in (('d', item.step), ('std_', item.std))},
         'chi_squared': item.chi_squared, 'degrees_of_freedom': item.degrees,
         'p_value': item.p_value} for item in found.sensors]
+
+
+def _length(values: FloatArray) -> float:
+    """Return the length of what is known of a vector."""
+    return float(np.sqrt(np.nansum(values**2)))
+
+
+def _open(item: Change) -> str:
+    names = [name for name, std in zip(COMPONENTS, item.std, strict=True) if np.isnan(std)]
+    return f' ({", ".join(names)} not compared)' if names else ''
 
 
 def _verdict(found: RigComparison, item: Change) -> str:

@@ -29,6 +29,7 @@ from trajectory_calibration.outputs.report.text import (
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import sensor_rows
+from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.result import PairReport, RigResult
 from trajectory_calibration.rig.windows import common_grid, Grid, Track
 
@@ -182,12 +183,14 @@ def _misfits(rig: RigResult) -> str:
         if pair.failure:
             rows.append((f'{pair.parent} - {pair.child}', pair.failure[:80], '', '', ''))
             continue
-        t, R = (np.linalg.norm(pair.residual[part]) for part in (slice(3), slice(3, 6)))
-        s, r = (np.linalg.norm(pair.std[part]) for part in (slice(3), slice(3, 6)))
+        # Components that the pair leaves open agree with anything.
+        known = pair.std < limits_of(rig.config.calibration)
+        t, R = (np.linalg.norm((pair.residual * known)[part]) for part in (slice(3), slice(3, 6)))
+        s, r = (np.linalg.norm((pair.std * known)[part]) for part in (slice(3), slice(3, 6)))
         rows.append((f'{pair.parent} - {pair.child}',
-                     f'{1e3 * t:.1f} mm of {1e3 * s:.1f}',
-                     f'{np.rad2deg(R):.3f} deg of {np.rad2deg(r):.3f}', f'{pair.poses:,}',
-                     'yes' if pair.used else 'no'))
+                     f'{1e3 * t:.1f} mm of {1e3 * s:.1f}' if s else 'unknown',
+                     f'{np.rad2deg(R):.3f} deg of {np.rad2deg(r):.3f}' if r else 'unknown',
+                     f'{pair.poses:,}', 'yes' if pair.used else 'no'))
     head = ('pair', 'from the rig, of its own deviation', 'rotation', 'poses', 'used')
     return f'<div class="card two">{table(head, rows, "numbers")}</div>'
 

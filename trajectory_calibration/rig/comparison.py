@@ -26,7 +26,7 @@ class Change:
     ----------
     sensor : its name.
     step, std : (6,), from the old pose in the base to the new one, order as a covariance; of the
-        base itself, about the base.
+        base itself, about the base. NaN of components that the drives leave open.
     chi_squared, degrees, p_value : of no change, along what both drives observe.
 
     """
@@ -123,7 +123,9 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         part = slice(6 * k, 6 * k + 6)
         step, P = L[name] @ shift[part], L[name] @ V[part, part] @ L[name].T
         chi_squared, degrees = misfit(step, P, limits)
-        sensors.append(Change(name, step, np.sqrt(np.diagonal(P)), chi_squared, degrees,
+        std = np.sqrt(np.diagonal(P))
+        known = np.where(std < limits, 1.0, np.nan)
+        sensors.append(Change(name, known * step, known * std, chi_squared, degrees,
                               probability(chi_squared, degrees)))
     K = whitener(V, limits)
     shift = K @ shift
