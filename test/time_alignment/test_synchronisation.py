@@ -206,8 +206,9 @@ def unrelated(seed):
 
 
 @pytest.mark.statistical
-def test_unrelated_turning_is_not_significant():
-    for seed in range(10):
+@thinned('seeds', 4, 10)
+def test_unrelated_turning_is_not_significant(seeds):
+    for seed in range(seeds):
         found = find_clock_offset(*unrelated(seed), 5.0)
         if found is None:
             continue
