@@ -49,7 +49,8 @@ def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
     for seed in range(seeds):
         found, _ = calibrated(scenario, seed, solver='dnl', reference='B5')
         assert 'z' in found.observability.unobserved
-        assert any('translation along z of lidar' in warning for warning in found.warnings)
+        # Its rotation may be open for the same reason: one warning names both.
+        assert any(warning.startswith('translation along z') for warning in found.warnings)
 
 
 @pytest.mark.statistical

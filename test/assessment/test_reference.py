@@ -143,7 +143,7 @@ def test_too_few_poses_to_judge_by():
     few = PosePairs(pairs.stamps_ns[:9], pairs.poses_a[:9], pairs.poses_b[:9], pairs.summary)
     choice = choose_reference(few, CalibrationConfig(solver='dnl', reference='auto'))
     assert choice.reference == 'B4'
-    assert '9 pairs of poses' in choice.explanation
+    assert '9 pose pairs' in choice.explanation
 
 
 @pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'park', 'ali'])
