@@ -52,7 +52,8 @@ def test_two_vehicles_are_refused_at_any_rate(solver, every):
 @pytest.mark.parametrize('scenario', [
     SCENARIOS['offroad'], Scenario(motion=Unicycle(ground=flat))], ids=['offroad', 'flat'])
 def test_one_drive_one_answer_and_one_set_of_findings(solver, scenario):
-    run = at_full_rate(scenario, 3)
+    # A drift of 0.57 %: that of seed 3 is 0.5 %, the limit of its finding.
+    run = at_full_rate(scenario, 5)
     found = [calibrate(thinned(run.a, every), thinned(run.b, every),
                        CalibrationConfig(solver=solver)) for every in (1, 4, 20)]
     codes = [sorted(finding.code for finding in result.findings) for result in found]

@@ -103,6 +103,7 @@ def fit(
     """
     rho = _FIRST_GUESS if before is None else before.rho
     last_rho = _LAST_RHO if before is None else _LAST_RHO_AGAIN
+    step_s = float(np.median(np.diff(drive.times)))
     jumps = _breaks(drive, state)
     cut = _cuts(jumps)
     tree = plan(cut, drive.R_b)
@@ -128,7 +129,7 @@ def fit(
         if round_ in _TAIL_ROUNDS:
             noise = replace(noise, tail=student.find_tail(found.squares))
         weights = student.weights(found.squares, noise.tail)
-        octaves = scores(tree, found, weights)
+        octaves = scores(tree, found, weights, step_s)
         terms = np.concatenate([np.zeros(6), state.terms])
         if _FIRST_RHO <= round_ <= last_rho:
             rho = saturation(octaves, prior, terms)

@@ -29,7 +29,7 @@ from trajectory_calibration.solvers.drift_aware.algebra import (
     TRANSLATION,
     transposed,
 )
-from trajectory_calibration.solvers.drift_aware.drive import PARAMETERS, SCALE
+from trajectory_calibration.solvers.drift_aware.drive import LATENCY, OFFSET, PARAMETERS, SCALE
 from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
 # The prior of rho: its median, and the deviation of its logarithm. VIO and stereo SLAM have 0.03
@@ -81,14 +81,15 @@ class Octaves:
         return result
 
 
-def scores(tree: Plan, found: Contrasts, weights: FloatArray) -> Octaves:
-    """Sum up what the contrasts of each octave tell."""
+def scores(tree: Plan, found: Contrasts, weights: FloatArray, step_s: float) -> Octaves:
+    """Sum up what the contrasts of each octave tell; poses are ``step_s`` apart."""
     whitened = weights[:, None, None] * (found.inverse @ found.J)
     each = np.einsum('nij,ni->nj', whitened, found.d)
     H = np.stack([whitened[part].reshape(-1, PARAMETERS).T @ found.J[part].reshape(-1, PARAMETERS)
                   for part in tree.parts])
     n = np.diff(np.append(tree.first, len(tree.octave))).astype(np.float64)
-    in_regressors = np.add.reduceat(_from_regressors(found, weights), tree.first)
+    in_regressors = np.add.reduceat(
+        _from_regressors(found, weights, step_s * 2.0**tree.octave, step_s), tree.first)
     scale = np.sqrt(np.einsum('oii->oi', H))
     scale = np.where(scale > 0, scale, np.inf)
     values, U = np.linalg.eigh(H / scale[:, :, None] / scale[:, None, :])
@@ -101,20 +102,25 @@ def scores(tree: Plan, found: Contrasts, weights: FloatArray) -> Octaves:
     # H = back back', to' back = 1; the share of each direction that is signal.
     noise = transposed(to) @ (in_regressors[:, :, None] * to)
     share, W = np.linalg.eigh(np.eye(PARAMETERS) - noise)
-    signal = (W * np.clip(share, 0.0, 1.0)[:, None, :]) @ transposed(W)
+    share = np.clip(share, 0.0, 1.0)
+    signal = (W * share[:, None, :]) @ transposed(W)
     score = np.add.reduceat(each, tree.first)
     half = back @ signal
     return Octaves(
         n=n, score=score, each=each,
         Q=half @ transposed(to), A=half @ transposed(half),
-        squares=(apply(transposed(to), score)**2).sum(axis=1),
-        rank=seen.sum(axis=1).astype(np.float64), normal=H.sum(axis=0))
+        squares=(share * apply(transposed(to @ W), score)**2).sum(axis=1),
+        rank=share.sum(axis=1) - (~seen).sum(axis=1), normal=H.sum(axis=0))
 
 
-def _from_regressors(found: Contrasts, weights: FloatArray) -> FloatArray:
-    """Return (n, 12), the diagonal of H that noise in the poses of b makes without any motion.
+def _from_regressors(
+    found: Contrasts, weights: FloatArray, length_s: FloatArray, step_s: float,
+) -> FloatArray:
+    """Return (n, 12), the diagonal of H that noise in the poses makes without any motion.
 
-    Half of the noise of a contrast is of b, and turns and shifts the axes that J is told in.
+    Half of the noise of a contrast is of b, and turns and shifts the axes that J is told in. The
+    velocities by which latency and clock offset act are differences of noisy poses: their mean
+    over a window of ``length_s`` is the noise of its ends over that time.
     """
     V, inverse = ([np.einsum('nii->n', M[:, part, part]) / 3 for part in
                    (TRANSLATION, ROTATION)] for M in (found.V, found.inverse))
@@ -122,6 +128,9 @@ def _from_regressors(found: Contrasts, weights: FloatArray) -> FloatArray:
     result[:, ROTATION] = (weights * V[1] * inverse[1])[:, None]
     result[:, TRANSLATION] = (weights * V[1] * inverse[0])[:, None]
     result[:, SCALE] = 1.5 * weights * V[0] * inverse[0]
+    by_time = 1.5 * weights / (length_s * step_s)
+    result[:, LATENCY] = by_time * V[0] * inverse[0]
+    result[:, OFFSET] = by_time * (V[0] * inverse[0] + V[1] * inverse[1])
     return result
 
 
