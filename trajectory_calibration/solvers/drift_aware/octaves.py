@@ -52,8 +52,8 @@ class Octaves:
     each : (n, 12) of every contrast, in the order of the plan.
     Q : (o, 12, 12), what of a score is no noise.
     A : (o, 12, 12), ``H~ H^-1 H~``, the information of an octave.
-    squares : (o,) ``s' H^-1 s``.
-    rank : (o,) directions in which there is any.
+    squares : (o,) ``s' H^-1 s``, each direction by its share of signal.
+    rank : (o,) the sum of these shares.
     normal : (12, 12) the sum of H.
 
     """
@@ -88,8 +88,9 @@ def scores(tree: Plan, found: Contrasts, weights: FloatArray, step_s: float) -> 
     H = np.stack([whitened[part].reshape(-1, PARAMETERS).T @ found.J[part].reshape(-1, PARAMETERS)
                   for part in tree.parts])
     n = np.diff(np.append(tree.first, len(tree.octave))).astype(np.float64)
+    length_s = np.float64(step_s) * 2.0**tree.octave
     in_regressors = np.add.reduceat(
-        _from_regressors(found, weights, step_s * 2.0**tree.octave, step_s), tree.first)
+        _from_regressors(found, weights, length_s, step_s), tree.first)
     scale = np.sqrt(np.einsum('oii->oi', H))
     scale = np.where(scale > 0, scale, np.inf)
     values, U = np.linalg.eigh(H / scale[:, :, None] / scale[:, None, :])
