@@ -42,6 +42,8 @@ _PARTS = (TRANSLATION, ROTATION)
 _LEAST = 1e-22
 # One kind of noise is at least this part of the other (variance, over the extent of the drive).
 _RATIO = 1e-9
+# A drive has at least that extent, metres: one sensor may turn on the spot.
+_SMALLEST_EXTENT = 1e-3
 
 # How many contrasts the extrapolation from the octave below counts for, and how the variance
 # grows on the way: between flicker (1) and a random walk (2).
@@ -102,7 +104,8 @@ def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
     """Return the (2,) variances, neither so small that what the other tells drowns in rounding."""
-    extent = float((drive.p_a**2).sum(axis=1).max()) + _LEAST
+    extent = _SMALLEST_EXTENT**2 + max(
+        float((p**2).sum(axis=1).max()) for p in (drive.p_a, drive.p_b))
     translation = max(white[0], _LEAST, _RATIO * white[1] * extent)
     return np.array([translation, max(white[1], _LEAST, _RATIO * translation / extent)])
 
