@@ -35,7 +35,9 @@ from trajectory_calibration.solvers.solution import Solution
 MIN_POSES = 10
 
 # Longer drives are thinned to about this many poses: what is left out would be believed no more.
+# But not to longer steps, seconds: a vehicle turns in that time, and windows begin with one step.
 _ENOUGH = 2000
+_LONGEST_STEP_S = 1.0
 # A fit to about this many poses comes first where there are more than twice as many.
 _COARSE = 400
 _COARSE_ROUNDS = 7
@@ -71,8 +73,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             f'drift_aware: {counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
             'tell noise from motion; record longer or use dnl')
     _require_motion(pairs)
-    every = max(1, round(len(pairs) / _ENOUGH))
-    kept = pairs.thinned(every)
+    kept = pairs.thinned(_every(pairs))
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         found, unit = _fit(kept, dict(terms))
@@ -92,6 +93,13 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         time_offset_s=diagnosis.time_offset_s,
         diagnosis=diagnosis,
     )
+
+
+def _every(pairs: PosePairs) -> int:
+    """Return k: every k-th pose pair is enough."""
+    step_s = 1e-9 * float(np.median(np.diff(pairs.stamps_ns)))
+    every = min(round(len(pairs) / _ENOUGH), int(_LONGEST_STEP_S / max(step_s, 1e-9)))
+    return max(1, every)
 
 
 def in_parent_axes(covariance_b: FloatArray, T_a_b: FloatArray) -> FloatArray:
