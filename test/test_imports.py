@@ -145,3 +145,11 @@ def test_no_circle_of_files():
 @pytest.mark.parametrize('path', MODULES, ids=dotted)
 def test_a_module_fits_on_a_few_screens(path):
     assert len(path.read_text(encoding='utf-8').splitlines()) <= 400
+
+
+def test_no_module_of_tests_is_skipped_whole():
+    """With launch_testing installed pytest then collects nothing, and reports success."""
+    for path in sorted(Path(__file__).parent.rglob('*.py')):
+        for line in path.read_text(encoding='utf-8').splitlines():
+            assert line[:1].isspace() or 'importorskip(' not in line, path
+            assert not line.startswith('pytest.skip('), path

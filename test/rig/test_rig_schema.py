@@ -3,9 +3,9 @@
 """The schemas of RIG.yaml and of a saved rig describe what is read and written."""
 
 import json
-from pathlib import Path
 
 import pytest
+from schemas import validator
 
 from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, ConfigError
@@ -22,16 +22,7 @@ from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import Sensor
 
-jsonschema = pytest.importorskip('jsonschema', reason='jsonschema is not installed')
-
-DOCS = Path(__file__).resolve().parents[2] / 'docs'
 SLAM = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
-
-
-def validator(name):
-    schema = json.loads((DOCS / name).read_text(encoding='utf-8'))
-    jsonschema.Draft202012Validator.check_schema(schema)
-    return jsonschema.Draft202012Validator(schema)
 
 
 def drive(names, **more):
@@ -66,8 +57,7 @@ def test_every_rig_fits_the_schema(rigs, tmp_path):
     {'p_value': 2.0}, {'rig_format_version': 2}, {'sensors': {}}, {'more': 1},
     {'pairs': [{'parent': 'a'}]}])
 def test_what_is_no_rig_does_not_fit(rigs, change):
-    with pytest.raises(jsonschema.ValidationError):
-        validator('rig_result.schema.json').validate({**rigs[0].to_dict(), **change})
+    assert not validator('rig_result.schema.json').is_valid({**rigs[0].to_dict(), **change})
 
 
 def test_every_key_of_rig_yaml_is_described():
@@ -91,7 +81,6 @@ def test_what_is_read_fits_and_the_rest_is_refused_by_both():
                   {'sensors': {**RIG['sensors'], 'b': {'scale': 'free'}}},
                   {'sensors': {**RIG['sensors'], 'b': {'file': 'b', 'topic': '/b'}}},
                   {'sensors': {**RIG['sensors'], 'b': {'file': 'b', 'skale': 'free'}}}):
-        with pytest.raises(jsonschema.ValidationError):
-            of_rig.validate({**RIG, **wrong})
+        assert not of_rig.is_valid({**RIG, **wrong})
         with pytest.raises(ConfigError):
             RigDescription.from_dict({**RIG, **wrong})

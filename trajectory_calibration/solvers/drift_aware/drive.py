@@ -99,6 +99,11 @@ class Drive:
     def __len__(self) -> int:
         return len(self.times)
 
+    @property
+    def step_s(self) -> float:
+        """Return the usual time between two poses, seconds."""
+        return float(np.median(np.diff(self.times)))
+
     @classmethod
     def of(cls, pairs: PosePairs) -> Drive:
         """Return what the solver needs of pose pairs."""

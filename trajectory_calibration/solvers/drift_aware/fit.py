@@ -103,7 +103,7 @@ def fit(
     """
     rho = _FIRST_GUESS if before is None else before.rho
     last_rho = _LAST_RHO if before is None else _LAST_RHO_AGAIN
-    step_s = float(np.median(np.diff(drive.times)))
+    step_s = drive.step_s
     jumps = _breaks(drive, state)
     cut = _cuts(jumps)
     tree = plan(cut, drive.R_b)

@@ -109,8 +109,7 @@ def _best(drive: Drive) -> tuple[State, float]:
 
 
 def _poses(drive: Drive, seconds: float) -> int:
-    step = float(np.median(np.diff(drive.times)))
-    return int(np.clip(round(seconds / step), 1, max(1, len(drive) // 4)))
+    return int(np.clip(round(seconds / drive.step_s), 1, max(1, len(drive) // 4)))
 
 
 def _misfit(T_a_b: FloatArray, motions: _Motions, size: float) -> float:
