@@ -72,12 +72,10 @@ class VehicleTransforms:
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError as error:
-            self.available = False
             if publish or moving:
                 what = 'publish_tf' if publish else 'a topic tf:PARENT.CHILD'
                 raise ConfigError(f'{what} needs tf2_msgs: {MISSING}') from error
             return
-        self.available = True
         self._message_type: Any = TFMessage
         node.create_subscription(TFMessage, '/tf_static', self._on_static, _STATIC)
         if publish or moving:
