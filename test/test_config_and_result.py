@@ -5,6 +5,7 @@
 import dataclasses
 import json
 from pathlib import Path
+import re
 
 from motion_data import perturb, random_pose, sensor_pair
 import numpy as np
@@ -23,6 +24,7 @@ from trajectory_calibration import (
 from trajectory_calibration.config.settings import Option
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, rounded
+from trajectory_calibration.solvers import load_solver
 
 
 @pytest.fixture(scope='module')
@@ -146,6 +148,26 @@ def test_a_clock_offset_is_found_and_said():
         calibrate(a, late, CalibrationConfig(solver='dnl', time_offset_mode='fixed'))
     given = calibrate(a, late, CalibrationConfig(solver='dnl', time_offset=1.2))
     assert given.time_offset_s == pytest.approx(1.2, abs=1e-9)
+
+
+@pytest.mark.parametrize('given_s', [0.0, 1.1])
+def test_the_clock_offset_of_the_solver_and_that_of_before_are_one_finding(monkeypatch, given_s):
+    def solve(motions, config):
+        more = Finding('clock-offset', 'remaining clock offset', {'offset_s': 0.02})
+        return dataclasses.replace(
+            load_solver('dnl')(motions, config), time_offset_s=0.02, findings=(more,))
+
+    monkeypatch.setattr('trajectory_calibration.pipeline.load_solver', lambda _: solve)
+    rng = np.random.default_rng(3)
+    a, b = sensor_pair(rng, random_pose(rng))
+    late = dataclasses.replace(b, stamps_ns=b.stamps_ns - 1_200_000_000)
+    result = calibrate(a, late, CalibrationConfig(
+        solver='dnl', time_offset=given_s, time_offset_mode='estimate'))
+    found, = (found for found in result.findings if found.code == 'clock-offset')
+    assert found.values == {'offset_s': pytest.approx(result.time_offset_s - given_s)}
+    total, before, after = (float(word) for word in re.findall(r'([+-]\d+\.\d) ms', found.text))
+    assert total == pytest.approx(1220 - 1e3 * given_s, abs=5)
+    assert (total, after) == (pytest.approx(before + after, abs=0.11), 20.0)
 
 
 def test_config_round_trips():

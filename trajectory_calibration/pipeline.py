@@ -30,6 +30,7 @@ from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.solvers.solution import Solver
 from trajectory_calibration.time_alignment.align import match
+from trajectory_calibration.time_alignment.clock_offset import in_total
 from trajectory_calibration.time_alignment.pairing import association_findings, UNPAIRED_SHARE
 
 # With fewer pairs than this, how they came about may be why there is no answer.
@@ -118,19 +119,20 @@ def calibrate(
         start_ns=int(pairs.stamps_ns[0]),
         duration_s=float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
-        findings=worst_first((
-            *trajectory_a.findings,
-            *trajectory_b.findings,
-            *doubts,
-            *matched,
-            *questions,
-            *short_drive(pairs, metrics),
-            *(parted_steps(pairs) if solution.diagnosis is None else ()),
-            *solution.findings,
-            *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
-            *uncertainty.findings,
-            *observability.findings,
-        )),
+        findings=worst_first(in_total(
+            clock.offset_s - config.time_offset, solution.time_offset_s, (
+                *trajectory_a.findings,
+                *trajectory_b.findings,
+                *doubts,
+                *matched,
+                *questions,
+                *short_drive(pairs, metrics),
+                *(parted_steps(pairs) if solution.diagnosis is None else ()),
+                *solution.findings,
+                *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
+                *uncertainty.findings,
+                *observability.findings,
+            ))),
     )
 
 

@@ -55,7 +55,7 @@ def test_the_order_of_the_quaternion_is_said_and_asked_about(tmp_path, capsys):
     stamps_ns, carried, _ = make_pair(200)
     turn = np.column_stack([2 * np.sin(1e-9 * (stamps_ns % 10**11) * k) for k in (0.7, 1.1, 1.3)])
     carried[:, :3, :3] = exp_so3(turn)
-    assert inspect_trajectory(Trajectory(stamps_ns, carried), 'x', 'file').warnings == ()
+    assert inspect_trajectory(Trajectory(stamps_ns, carried), 'x', 'file').findings == ()
 
 
 def test_planar_motion_is_said_in_words(tmp_path, capsys):
@@ -107,8 +107,13 @@ def test_text_of_a_bag_names_what_cannot_serve_and_why(tmp_path, capsys):
         status, out, _ = run(capsys, 'inspect', tmp_path / 'bag')
     assert status == 0
     assert ('/good  (geometry_msgs/msg/PoseStamped)\n'
-            '  warning: good: /good: dropped 1 pose: not finite') in out
+            '  note: good: /good: dropped 1 pose: not finite') in out
+    assert 'warning' not in out
     assert 'good in odom' in out
+    _, found, _ = run(capsys, 'inspect', tmp_path / 'bag', '--format', 'json')
+    good, = json.loads(found)['inputs'][0]['trajectories']
+    assert [one['level'] for one in good['findings']] == ['note']
+    assert [one['text'] for one in good['findings']] == good['warnings']
     assert '3 of 4 messages' in out
     cannot = out[out.index('Topics that cannot serve'):]
     assert '/once   /once: poses in 1 of 1 message, needed at least 2' in cannot

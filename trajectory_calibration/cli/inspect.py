@@ -75,13 +75,13 @@ def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with running_clock('reading'):
         trajectory = load_one(str(path), path.name, options)
         read_as = FileSource(path, **options.of_files()).describe()
-    found = inspect_trajectory(trajectory, str(path), 'file').to_dict()
-    # No format of files names its frames, and the path stands above the findings.
-    found.update(
-        sensor_frame=None, world_frame=None, read_as=read_as,
-        warnings=[text.removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
-                  for text in found['warnings']])
-    return {'path': str(path), 'notes': [], 'trajectories': [found], 'other': []}
+    found = inspect_trajectory(trajectory, str(path), 'file')
+    # The path stands above the findings, and no format of files names its frames.
+    found = replace(found, findings=tuple(
+        replace(one, text=one.text.removeprefix(f'{path.name}: ').removeprefix(f'{path}: '))
+        for one in found.findings))
+    described = {**found.to_dict(), 'sensor_frame': None, 'world_frame': None, 'read_as': read_as}
+    return {'path': str(path), 'notes': [], 'trajectories': [described], 'other': []}
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:

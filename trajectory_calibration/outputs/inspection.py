@@ -11,6 +11,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import axis_name, translation_gain
 from trajectory_calibration.assessment.orientation_checks import order_doubts
+from trajectory_calibration.data.findings import Finding, texts, worst_first
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
@@ -48,7 +49,7 @@ class Inspection:
     turned_deg : root mean square rotation about x, y, z of the sensor in two seconds, degrees.
     motion : 'sufficient', 'weak' or 'insufficient' for a calibration.
     advice : the same in words, and what to drive.
-    warnings : what was repaired or left out, and questions about its units.
+    findings : what was repaired or left out, and questions about its units.
 
     """
 
@@ -66,11 +67,12 @@ class Inspection:
     turned_deg: tuple[float, ...]
     motion: str
     advice: str
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        return asdict(self)
+        return {**asdict(self), 'findings': [found.to_dict() for found in self.findings],
+                'warnings': list(texts(self.findings))}
 
 
 def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspection:
@@ -97,9 +99,9 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspecti
         turned_deg=tuple(np.rad2deg(turned).tolist()),
         motion=motion,
         advice=advice,
-        warnings=tuple(map(str, (
+        findings=worst_first((
             *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory),
-            *order_doubts(trajectory)))),
+            *order_doubts(trajectory))),
     )
 
 

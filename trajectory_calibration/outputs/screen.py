@@ -181,7 +181,7 @@ def deviation_words(covariance: FloatArray) -> list[str]:
 def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -> str:
     """Return the screen of what was found in one file or bag."""
     terminal = terminal or Terminal()
-    lines = [found['path'], *_warnings(found['notes'], terminal)]
+    lines = [found['path'], *_marked((('warning', note) for note in found['notes']), terminal)]
     for item in found['trajectories']:
         # A file is its trajectory; a bag holds several.
         if item['name'] != found['path']:
@@ -192,7 +192,8 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
             read = f' in the last of {counted(messages, "message")}'
         longest = f', the longest {item["longest_gap_s"]:.3f} s' if item['gaps'] else ''
         gaps = counted(item['gaps'], 'gap') + longest if item['gaps'] else 'no gaps'
-        lines += _warnings(item['warnings'], terminal)
+        lines += _marked(
+            ((one['level'], one['text']) for one in item['findings']), terminal)
         lines += terminal.aligned({
             **({'read as': item['read_as']} if item.get('read_as') else {}),
             'frames': ('not named in the file' if item['sensor_frame'] is None
@@ -252,6 +253,6 @@ def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
         f'{name} {fixed(value, digits)}' for name, value in zip(names, values, strict=True))
 
 
-def _warnings(warnings: Iterable[str], terminal: Terminal) -> list[str]:
-    return [line for warning in warnings
-            for line in terminal.wrapped(f'warning: {warning}', '  ', '    ')]
+def _marked(found: Iterable[tuple[str, str]], terminal: Terminal) -> list[str]:
+    return [line for level, text in found
+            for line in terminal.wrapped(f'{level}: {text}', '  ', '    ')]

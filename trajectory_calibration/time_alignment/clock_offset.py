@@ -11,6 +11,7 @@ one nearest to what was given is taken, and the others are named.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,6 +129,20 @@ class Clock:
                 f'{1e3 * self.uneven_s:.1f} ms. If it was stepped, calibrate the parts separately',
                 {'deviation_s': self.uneven_s}))
         return tuple(found)
+
+
+def in_total(
+    before_s: float, after_s: float, findings: Sequence[Finding],
+) -> tuple[Finding, ...]:
+    """Return findings that tell of one clock offset where the solver found more of it."""
+    parts = [found for found in findings if found.code == 'clock-offset']
+    if len(parts) < 2:
+        return tuple(findings)
+    total = Finding(
+        'clock-offset', f'clock offset {1e3 * (before_s + after_s):+.1f} ms found and added to '
+        f'the stamps of b: {1e3 * before_s:+.1f} ms from the rotation of both sensors, '
+        f'{1e3 * after_s:+.1f} ms by the solver', {'offset_s': before_s + after_s})
+    return (total, *(found for found in findings if found not in parts))
 
 
 def synchronise(
