@@ -101,3 +101,8 @@ def counted(count: int, noun: str) -> str:
 def rounded(value: float, digits: int = 2) -> str:
     """Return a number of so many digits, without an exponent where it is large: 0.12, 1,220."""
     return f'{value:,.0f}' if abs(value) >= 10**digits - 0.5 else f'{value:.{digits}g}'
+
+
+def in_sigmas(ratio: float, digits: int = 0) -> str:
+    """Return a number of standard deviations; '> 1000' against those of data without noise."""
+    return '> 1000' if ratio > 1000 else f'{ratio:.{digits}f}'

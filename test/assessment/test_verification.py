@@ -148,3 +148,5 @@ def test_a_component_that_a_prior_fixes_can_be_compared():
     T, P = np.eye(4), np.zeros((6, 6))
     assert not difference((T, P), (T, P), CONFIG).differs
     assert difference((T, P), (se3.moved(T, [1e-3] * 6), P), CONFIG).differs
+    moved = difference((T, P), (se3.moved(T, [0.1] + [1e-9] * 5), P), CONFIG)
+    assert moved.describe() == '+0.100 m along x (> 1000 sigma)'

@@ -15,6 +15,7 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.answer import angle_jacobian, answer_rows, status_sentence
+from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.outputs.verdict import judge
@@ -74,6 +75,17 @@ def test_the_error_against_the_truth_leaves_out_what_is_unknown():
         make(status={'z': 'unobserved'}), T)
     assert line + 'unknown, 0.000 deg (without x, y, z)\n' in format_result(
         make(status=dict.fromkeys('xyz', 'unobserved')), T)
+
+
+def test_an_error_beyond_deviations_of_zero_is_a_number_a_person_can_read():
+    result = make(std=(1e-13,) * 6)
+    T = result.T_a_b.copy()
+    T[0, 3] += 0.02
+    assert format_result(result, T).splitlines()[1].endswith('error -0.020000 m > 1000 sigma')
+    assert '<td class="num unknown">&gt; 1000</td>' in verdict_box(
+        result, answer_rows(result, T), judge(result), '')
+    near = make(std=(0.01,) * 6)
+    assert format_result(near, T).splitlines()[1].endswith('error -0.020 m = 2.0 sigma')
 
 
 def test_verbose_says_which_poses_were_not_used():

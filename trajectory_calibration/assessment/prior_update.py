@@ -8,7 +8,7 @@ import numpy as np
 
 from trajectory_calibration.config.prior import FIXED, Prior
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, in_sigmas
 from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import DEFAULT_SOLVER
@@ -173,7 +173,7 @@ def contradictions(
                     f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
             found.append(Finding(
                 'prior-contradicts',
-                f'the prior of the {what} from the answer of the motion, {distance / both:.0f} '
+                f'the prior of the {what} from the answer of the motion, {in_sigmas(distance / both)} '
                 'standard deviations of both. One of them is wrong, and the result lies between',
                 {'component': int(k), 'sigmas': distance / both}))
     return tuple(found)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from trajectory_calibration.errors import counted, ResultError
+from trajectory_calibration.errors import counted, in_sigmas, ResultError
 from trajectory_calibration.fleet.differences import (
     describe_step,
     Difference,
@@ -118,8 +118,8 @@ class Comparison:
                 self.stretches, self.stretches[1:], self.changes, strict=False):
             lines.append(
                 f'CHANGED: {before.describe()} | {after.describe()}: '
-                f'{describe_step(change.step, change.named)} ({change.sigma:.0f} sigma, chi2/dof '
-                f'{change.chi_squared / change.degrees_of_freedom:,.0f})')
+                f'{describe_step(change.step, change.named)} ({in_sigmas(change.sigma)} sigma, '
+                f'chi2/dof {change.chi_squared / change.degrees_of_freedom:,.0f})')
         if len(self.stretches) == 1:
             lines.append(f'AGREE: {len(answers)} answers are of one extrinsic ({ratio})')
         if self.stretches and self.noise_ratio > 1.5:

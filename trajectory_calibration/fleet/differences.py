@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -70,7 +71,7 @@ class Difference:
 
     def describe(self) -> str:
         """Return the step in words: '0.078 m along x, 1.47 deg about z (12 sigma)'."""
-        return f'{describe_step(self.step, self.named)} ({self.sigma:.0f} sigma)'
+        return f'{describe_step(self.step, self.named)} ({in_sigmas(self.sigma)} sigma)'
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data with the unit in each name."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.pose_pairs import AssociationSummary
-from trajectory_calibration.errors import counted
+from trajectory_calibration.errors import counted, in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row
@@ -93,8 +93,10 @@ def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
         line = f'  {row.name:<5} {shown} {std:<{after + 6}} {unit:<3}  '
         mark = terminal.paint(f'{row.word:<7}', row.word)
         error = f'  error {row.error_text} {row.unit}' if row.error_text else ''
-        sigma = '' if row.sigma is None else f' = {row.sigma:.1f} sigma'
-        lines.append((line + mark + error + sigma).rstrip())
+        if row.sigma is not None:
+            ratio = in_sigmas(row.sigma, 1)
+            error += f' {ratio} sigma' if ratio.startswith('>') else f' = {ratio} sigma'
+        lines.append((line + mark + error).rstrip())
     return lines
 
 

@@ -8,6 +8,7 @@ from html import escape
 
 import numpy as np
 
+from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.outputs.answer import Row
 from trajectory_calibration.outputs.report.text import next_step, verdict_section
 from trajectory_calibration.outputs.screen import details
@@ -94,7 +95,7 @@ def _row(row: Row, *, with_error: bool) -> str:
 
 
 def _error_cells(row: Row) -> str:
-    sigma = '–' if row.sigma is None else f'{row.sigma:.1f}'
+    sigma = '–' if row.sigma is None else escape(in_sigmas(row.sigma, 1))
     style = 'num unknown' if row.sigma is not None and row.sigma > FAR else 'num'
     return f'<td class="num">{row.error_text or "–"}</td><td class="{style}">{sigma}</td>'
 
