@@ -210,8 +210,41 @@ def test_open_heights_end_with_status_three(tmp_path, capsys):
     assert text.count('unknown') == 3
     assert 'z of front, rear unobservable' in text
     assert '(z unknown)' in (tmp_path / 'rig.html').read_text()
-    assert 'UNOBSERVED' in (tmp_path / 'out' / 'static_transforms.launch.py').read_text()
-    assert 'UNOBSERVED' in (tmp_path / 'out' / 'sensor_kit_calibration.yaml').read_text()
+
+
+def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
+    run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
+    for name, trajectory in run.trajectories.items():
+        write_tum(tmp_path / f'{name}.tum', trajectory)
+    (tmp_path / 'RIG.yaml').write_text(RIG)
+    out = tmp_path / 'out'
+    command = ['rig', str(tmp_path / 'RIG.yaml'), '--output', str(out), '--force']
+    assert main(command) == 3
+    assert capsys.readouterr().err == (
+        'not exported: z of camera in velodyne; z of rear in velodyne unknown; '
+        'rig --allow-unobserved writes them\n')
+    assert [path.name for path in out.iterdir()] == ['rig.yaml']
+    # Of the two only the camera has a known height.
+    (tmp_path / 'RIG.yaml').write_text(RIG.replace(
+        'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
+        'prior_translation_std: 0.01'))
+    assert main(command) == 3
+    assert 'not exported: z of rear in velodyne unknown;' in capsys.readouterr().err
+    assert (out / 'camera' / 'extrinsic.urdf').is_file()
+    assert not (out / 'rear').exists()
+    assert 'camera' in (out / 'rig.urdf').read_text()
+    files = [out / name for name in (
+        'rig.urdf', 'static_transforms.launch.py', 'sensor_kit_calibration.yaml',
+        'transforms.tum')]
+    assert all('rear' not in path.read_text() for path in files)
+    assert main([*command, '--allow-unobserved']) == 3
+    assert 'not exported' not in capsys.readouterr().err
+    assert all('UNOBSERVED: z of rear' in path.read_text() for path in files)
+    assert (out / 'rear' / 'extrinsic.urdf').is_file()
+    (tmp_path / 'RIG.yaml').write_text(RIG.replace(
+        'max_time_offset: 1.0', 'max_time_offset: 1.0, allow_unobserved: true'))
+    assert main(command) == 3
+    assert 'UNOBSERVED: z of camera' in files[0].read_text()
 
 
 def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):

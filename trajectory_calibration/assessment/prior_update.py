@@ -173,8 +173,9 @@ def contradictions(
                     f'rotation about {"xyz"[k - 3]} is {np.rad2deg(distance):.3g} deg')
             found.append(Finding(
                 'prior-contradicts',
-                f'the prior of the {what} from the answer of the motion, {in_sigmas(distance / both)} '
-                'standard deviations of both. One of them is wrong, and the result lies between',
+                f'the prior of the {what} from the answer of the motion, '
+                f'{in_sigmas(distance / both)} standard deviations of both. One of '
+                'them is wrong, and the result lies between',
                 {'component': int(k), 'sigmas': distance / both}))
     return tuple(found)
 

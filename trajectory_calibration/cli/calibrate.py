@@ -24,7 +24,7 @@ from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_y
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
-from trajectory_calibration.outputs.placement import kept_back
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.pipeline import calibrate
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         _write(result, truth, arguments.output)
         written.append(arguments.output)
-        if kept_back(result):
+        if Placement.of(result).kept_back:
             print(f'no exports: {", ".join(result.observability.unobserved)} unknown; export '
                   f'{arguments.output / RESULT_FILE} --allow-unobserved writes them',
                   file=sys.stderr)
@@ -115,7 +115,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
-        if kept_back(result):
+        if Placement.of(result).kept_back:
             return
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
         if result.frame_a != result.frame_b:

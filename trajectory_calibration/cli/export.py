@@ -14,7 +14,7 @@ from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.placement import kept_back, Placement
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -62,12 +62,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Write the export."""
     exporter = EXPORTS[arguments.format]
-    result = CalibrationResult.load(arguments.result)
-    item = _placed(Placement.of(result), arguments)
-    unknown = kept_back(result)
-    if unknown and not arguments.allow_unobserved:
-        print(f'error: not exported: {unknown} unobservable. Calibrate with a ramp or a prior; or '
-              'export an arbitrary number with --allow-unobserved', file=sys.stderr)
+    item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
+    if item.kept_back and not arguments.allow_unobserved:
+        print(f'error: not exported: {item.kept_back} unobservable. Calibrate with a ramp or a '
+              'prior; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.OPEN
     if arguments.output is None:
         if exporter.is_binary:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import sys
+from typing import Any
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
@@ -59,6 +60,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--leave-out-contradicting', action='store_true',
         help='leave sensors that contradict the others out of the answer')
+    parser.add_argument(
+        '--allow-unobserved', action='store_true',
+        help='export sensors with an unknown direction, too, as arbitrary numbers with a comment')
     group = parser.add_argument_group('output')
     group.add_argument(
         '--ground-truth', type=Path, metavar='FILE', help='a saved rig with known poses')
@@ -100,7 +104,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         make_folder(arguments.output, ResultError)
         rig.save(arguments.output / RIG_FILE)
-        write_rig_exports(rig, arguments.output)
+        kept_back = write_rig_exports(rig, arguments.output)
+        if kept_back:
+            print(f'not exported: {"; ".join(kept_back)} unknown; rig --allow-unobserved writes '
+                  'them', file=sys.stderr)
     if arguments.report is not None:
         _write_report(rig, trajectories, sources, arguments)
     _print(rig, truth, arguments)
@@ -131,10 +138,12 @@ def _write_report(
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:
     """Return the settings of the file, overridden by the options."""
-    given = {name: getattr(arguments, name) for name in ('base', 'pairs')
-             if getattr(arguments, name) is not None}
+    given: dict[str, Any] = {name: getattr(arguments, name) for name in ('base', 'pairs')
+                             if getattr(arguments, name) is not None}
     if arguments.leave_out_contradicting:
         given['leave_out_contradicting'] = True
+    if arguments.allow_unobserved:
+        given['calibration'] = replace(config.calibration, allow_unobserved=True)
     return replace(config, **given)
 
 

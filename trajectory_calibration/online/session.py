@@ -13,7 +13,7 @@ from trajectory_calibration.errors import CalibrationError, MotionError
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.overlay import make_overlay, Overlay
 from trajectory_calibration.online.track import Track
-from trajectory_calibration.outputs.placement import kept_back
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -48,7 +48,7 @@ class CalibrationJob:
         try:
             a, b = self.track_a.trajectory(), self.track_b.trajectory()
             result = calibrate(a, b, self.config)
-            unknown = kept_back(result)
+            unknown = Placement.of(result).kept_back
             if unknown:
                 raise MotionError(
                     f'not published: {unknown} unobservable. {_way_out(result)}')

@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError, counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -27,6 +29,8 @@ class Placement:
         parent, as in ``CalibrationResult``.
     unobserved : the degrees of freedom of the result that neither the motion nor a prior
         determines, as 'z of camera in lidar'.
+    kept_back : 'y, z of camera in lidar', what of these must not go out, because
+        ``allow_unobserved`` is not set; '' for nothing.
     origin : one sentence about where the numbers come from.
 
     """
@@ -36,17 +40,25 @@ class Placement:
     T_parent_child: FloatArray
     covariance: FloatArray | None = None
     unobserved: tuple[str, ...] = ()
+    kept_back: str = ''
     origin: str = ''
 
     @classmethod
     def of(cls, result: CalibrationResult) -> Placement:
         """Return the extrinsic of a result: a is the parent, b the child."""
-        a, b = result.frame_a, result.frame_b
-        return cls(
-            a, b, result.T_a_b, result.covariance,
-            tuple(f'{name} of {b} in {a}' for name in result.observability.unobserved),
-            f'trajectory_calibration {result.version}, solver {result.config.solver}, '
+        item = cls(
+            result.frame_a, result.frame_b, result.T_a_b, result.covariance,
+            origin=f'trajectory_calibration {result.version}, solver {result.config.solver}, '
             f'{counted(result.motions, "motion")}')
+        return item.leaving(result.observability.unobserved, result.config)
+
+    def leaving(self, unobserved: Sequence[str], config: CalibrationConfig) -> Placement:
+        """Return the same with the degrees of freedom that nothing determines."""
+        where = f' of {self.child} in {self.parent}'
+        hidden = unobserved and not config.allow_unobserved
+        return replace(
+            self, unobserved=tuple(name + where for name in unobserved),
+            kept_back=', '.join(unobserved) + where if hidden else '')
 
     def inverted(self) -> Placement:
         """Return the pose of the parent in the child."""
@@ -92,15 +104,3 @@ class Placement:
             return None
         carried: FloatArray = jacobian @ self.covariance @ jacobian.T
         return carried
-
-
-def kept_back(result: CalibrationResult) -> str:
-    """Return what of an answer is an arbitrary number that must not go out, or ''.
-
-    'y, z of camera in lidar': neither the motion nor a prior determines it, and
-    ``allow_unobserved`` is not set.
-    """
-    unobserved = result.observability.unobserved
-    if not unobserved or result.config.allow_unobserved:
-        return ''
-    return f'{", ".join(unobserved)} of {result.frame_b} in {result.frame_a}'

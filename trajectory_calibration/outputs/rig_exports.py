@@ -42,22 +42,24 @@ def placements(rig: RigResult) -> list[Placement]:
     return [
         Placement(
             rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
-            tuple(f'{component} of {sensor.frame} in {rig.sensors[sensor.base].frame}'
-                  for component in sensor.unobserved),
-            f'trajectory_calibration {rig.version}, rig of {counted(len(rig.sensors), "sensor")}')
+            origin=f'trajectory_calibration {rig.version}, rig of '
+            f'{counted(len(rig.sensors), "sensor")}',
+        ).leaving(sensor.unobserved, rig.config.calibration)
         for name, sensor in rig.sensors.items() if name != sensor.base]
 
 
-def urdf(rig: RigResult) -> str:
+def _urdf(rig: RigResult, items: list[Placement]) -> str:
     """Return one robot with a link for each sensor and a fixed joint for all but the bases."""
     parts = [f'<link name={quoteattr(rig.sensors[base].frame)}/>\n' for base in rig.trees]
-    parts += [EXPORTS['urdf'].write(item) for item in placements(rig)]
+    parts += map(EXPORTS['urdf'].write, items)
     body = ''.join(f'  {line}\n' for part in parts for line in part.splitlines())
     return f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n'
 
 
-def write_rig_exports(rig: RigResult, folder: Path) -> list[Path]:
+def write_rig_exports(rig: RigResult, folder: Path) -> list[str]:
     """Write the files of the whole tree, and a folder of all formats for each sensor.
+
+    Return what of the rig is ``kept_back``, whose sensors are left out of every file.
 
     Raises
     ------
@@ -67,11 +69,13 @@ def write_rig_exports(rig: RigResult, folder: Path) -> list[Path]:
         The folder or a file cannot be written.
 
     """
-    items = placements(rig)
-    texts = {
-        URDF_FILE: urdf(rig), LAUNCH_FILE: launch_file(items), KIT_FILE: sensor_kit(items),
-        MATRICES_FILE: ''.join(map(EXPORTS['tum'].write, items))}
-    written = write_files(folder, {name: text.encode() for name, text in texts.items()})
+    every = placements(rig)
+    items = [item for item in every if not item.kept_back]
+    if items:
+        texts = {
+            URDF_FILE: _urdf(rig, items), LAUNCH_FILE: launch_file(items),
+            KIT_FILE: sensor_kit(items), MATRICES_FILE: ''.join(map(EXPORTS['tum'].write, items))}
+        write_files(folder, {name: text.encode() for name, text in texts.items()})
     for item in items:
-        written += write_exports(item, folder / item.child.strip('/').replace('/', '_'))
-    return written
+        write_exports(item, folder / item.child.strip('/').replace('/', '_'))
+    return [item.kept_back for item in every if item.kept_back]

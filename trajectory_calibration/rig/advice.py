@@ -10,7 +10,7 @@ _PRIOR = re.compile(r'--prior-(translation|rotation)=(\S+) --prior-\1-std=(\d+(?
 _OF_SENSOR = re.compile(r'--(invert|quaternion-order)(?:-([ab]))?(?: (wxyz|xyzw))?')
 _SETTING = re.compile(r'--(association|max-time-difference|max-gap) (\w[\w.+-]*\w|\w)')
 
-# What the node may do, and a rig does anyway.
+# Of the node; where a rig is exported, it is said which option writes it.
 _PUBLISHED = re.compile(r', or(?:, in the node,)? set allow_unobserved[^.;]*')
 _WHOLE = {
     '--invert-a --invert-b': '--invert-a and --invert-b',

@@ -8,7 +8,7 @@ from html import escape
 
 from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.outputs.exports import EXPORTS
-from trajectory_calibration.outputs.placement import kept_back, Placement
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
 
 FORMATS = {
@@ -19,11 +19,10 @@ FORMATS = {
 
 def copies(result: CalibrationResult) -> str:
     """Return tabs with text to copy; they work without JavaScript, which adds the button."""
-    unknown = kept_back(result)
-    if unknown:
-        return ('<div class="copies"><h3>Copy as</h3><p class="lead">Nothing yet: '
-                f'{escape(unknown)} is unknown.</p></div>')
     forward = Placement.of(result)
+    if forward.kept_back:
+        return ('<div class="copies"><h3>Copy as</h3><p class="lead">Nothing yet: '
+                f'{escape(forward.kept_back)} is unknown.</p></div>')
     tabs, panels = [], []
     for k, (name, title) in enumerate(FORMATS.items()):
         try:
