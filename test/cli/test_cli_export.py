@@ -135,8 +135,8 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
     status, _, err = run(capsys, 'calibrate', a, b, '--output', folder, '--solver', 'ali')
     assert status == 3
     assert [path.name for path in folder.iterdir()] == ['result.yaml']
-    assert err == (f'no exports: z unknown; export {folder}/result.yaml --allow-unobserved '
-                   'writes them\n')
+    assert err == (f'no exports: z unknown. To write one all the same: export '
+                   f'{folder}/result.yaml --as FORMAT --allow-unobserved\n')
     assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
         'z'] == 'unobserved'
     for name in EXPORTS:

@@ -49,7 +49,7 @@ def test_the_order_of_the_quaternion_is_said_and_asked_about(tmp_path, capsys):
     # A heading leaves nothing to assume.
     path.write_text('# t x y z qw qx qy qz\n' + path.read_text(encoding='utf-8'), encoding='utf-8')
     _, out, _ = run(capsys, 'inspect', path)
-    assert 't,x,y,z,qw,qx,qy,qz (its heading)' in out
+    assert 't,x,y,z,qw,qx,qy,qz (from the heading)' in out
     assert 'assumed' not in out
     # What is carried moves along all of its axes in either order.
     stamps_ns, carried, _ = make_pair(200)

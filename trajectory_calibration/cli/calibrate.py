@@ -87,9 +87,9 @@ def run(arguments: argparse.Namespace) -> int:
         _write(result, truth, arguments.output)
         written.append(arguments.output)
         if Placement.of(result).kept_back:
-            print(f'no exports: {", ".join(result.observability.unobserved)} unknown; export '
-                  f'{arguments.output / RESULT_FILE} --allow-unobserved writes them',
-                  file=sys.stderr)
+            print(f'no exports: {", ".join(result.observability.unobserved)} unknown. To write '
+                  f'one all the same: export {arguments.output / RESULT_FILE} --as FORMAT '
+                  '--allow-unobserved', file=sys.stderr)
     written += write_pages(result, a, b, truth, arguments, arguments.report)
     _print(result, truth, arguments, written)
     return exit_status.OPEN if result.observability.unobserved else exit_status.DONE

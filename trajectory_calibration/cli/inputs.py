@@ -19,9 +19,10 @@ from trajectory_calibration.sources.layouts import QUATERNION_ORDERS, TIME_UNITS
 
 # Options of files that may be given for both sensors, or for one.
 _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
-    ('columns', {'metavar': 'NAMES', 'help': 'what the columns are, for instance '
+    ('columns', {'metavar': 'NAMES', 'help': 'names of the columns, for instance '
                  't,x,y,z,qw,qx,qy,qz; - skips a column'}),
-    ('quaternion-order', {'choices': QUATERNION_ORDERS, 'help': 'order of the quaternion'}),
+    ('quaternion-order', {'choices': QUATERNION_ORDERS,
+                          'help': 'order of the four numbers of a quaternion'}),
     ('time-unit', {'choices': TIME_UNITS, 'help': 'unit of the times'}),
 )
 
@@ -29,11 +30,12 @@ _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
 def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -> None:
     """Add A, B (which may be missing where not a ``pair``), ``--bag``, and how to read them."""
     parser.add_argument(
-        'a', metavar='A', help='sensor a, the parent: a file; with --bag a topic or tf:MAP.BASE')
+        'a', metavar='A',
+        help='sensor a, the parent: a file; with --bag a topic or tf:PARENT.CHILD')
     parser.add_argument('b', metavar='B', nargs=None if pair else '?',
                         help='sensor b, the child: the same')
     add_bag_argument(parser)
-    group = parser.add_argument_group('how to read the inputs (default: as they say themselves)')
+    group = parser.add_argument_group('how to read the inputs (default: detected)')
     for name in 'ab':
         group.add_argument(
             f'--frame-{name}', metavar='FRAME', help=f'name of the frame of sensor {name}')
@@ -41,14 +43,15 @@ def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -
                            help=f'format of the file {name}')
         group.add_argument(
             f'--times-{name}', type=Path, metavar='FILE',
-            help=f'times of the poses of file {name}, one a line')
+            help=f'file with the times of the poses of file {name}, one a line')
         group.add_argument(
             f'--invert-{name}', action='store_true',
-            help=f'{name} holds the pose of the world in the sensor')
+            help=f'{name} holds poses of the world in the sensor; invert them')
     for option, settings in _SHARED:
-        for suffix, of in (('', 'both files'), ('-a', 'file a'), ('-b', 'file b')):
-            text = f'{settings["help"]}, of {of}'
-            group.add_argument(f'--{option}{suffix}', **{**settings, 'help': text})
+        group.add_argument(f'--{option}', **settings)
+        for name in 'ab':
+            group.add_argument(
+                f'--{option}-{name}', **{**settings, 'help': f'the same, for file {name} alone'})
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
@@ -61,13 +64,13 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of how to read files, for a command whose files are all alike."""
     parser.add_argument(
-        '--file-format', choices=FORMATS, help='format of the files (default: from their rows)')
+        '--file-format', choices=FORMATS, help='format of the files (default: detected)')
     parser.add_argument(
-        '--times', type=Path, metavar='FILE', help='times of the poses, one a line')
+        '--times', type=Path, metavar='FILE', help='file with the times of the poses, one a line')
     for option, settings in _SHARED:
         parser.add_argument(f'--{option}', **settings)
     parser.add_argument('--invert', action='store_true',
-                        help='the files hold the pose of the world in the sensor')
+                        help='the files hold poses of the world in the sensor; invert them')
 
 
 def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:

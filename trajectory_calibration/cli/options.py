@@ -63,8 +63,9 @@ def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
 
 
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
+    default = 'none' if option.default == '' else option.default
     # argparse expands % in a help text.
-    text = f'{option.help} (default: {option.default})'.replace('%', '%%')
+    text = f'{option.help} (default: {default})'.replace('%', '%%')
     flag = f'--{option.name.replace("_", "-")}'
     # An option that was not given leaves no attribute: --config may have set it.
     if option.kind is bool:

@@ -32,7 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         'simulate', help='make two trajectories with a known extrinsic',
         usage='%(prog)s [options] --output DIR',
-        description='Simulate two sensors on one base, and what their SLAM makes of the motion. '
+        description='Simulate two sensors on one base, with the errors of their SLAM. '
         'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
     parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
     parser.add_argument('--force', action='store_true', help='overwrite files')
@@ -40,13 +40,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--scenario', default='mixture', metavar='NAME',
         help='noise, outliers, drift, mixture (those of the paper), offroad, road, drone or '
         'handheld (default: mixture)')
-    parser.add_argument('--seed', type=int, default=0, help='of everything random (default: 0)')
+    parser.add_argument('--seed', type=int, default=0, help='random seed (default: 0)')
     parser.add_argument(
         '--noise', action='append', default=[], metavar='[a.|b.]NAME=VALUE',
         help='change an error of both sensors, or of one: white, white_rotation, jumps, drift, '
-        'walk, walk_rotation, coloured, coloured_rotation, coloured_time, loop_closures, scale; '
-        'may be given several times')
-    parser.add_argument('--duration', type=float, metavar='S', help='seconds')
+        'walk, walk_rotation, coloured, coloured_rotation, coloured_time, loop_closures, scale '
+        '(metres, radians, seconds); may be given several times')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help='length of the drive, seconds (default: of the scenario)')
     parser.add_argument(
         '--mounting', metavar='TRANSFORM',
         help='pose of b in a: x,y,z,roll,pitch,yaw (metres, radians), x,y,z,qx,qy,qz,qw, or a '
@@ -55,15 +56,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         group = parser.add_argument_group(f'sensor {name}')
         group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
         group.add_argument(
-            f'--clock-offset-{name}', type=float, metavar='S', help='its clock is ahead by this')
+            f'--clock-offset-{name}', type=float, metavar='S',
+            help='its clock is ahead by this many seconds')
         group.add_argument(
-            f'--clock-drift-{name}', type=float, metavar='S/S', help='its clock is faster by this')
-        group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='intervals without poses')
-        group.add_argument(f'--gap-{name}', type=float, metavar='S', help='their length')
+            f'--clock-drift-{name}', type=float, metavar='S/S',
+            help='its clock gains this many seconds a second')
+        group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='gaps in its poses')
+        group.add_argument(
+            f'--gap-{name}', type=float, metavar='S', help='length of each gap, seconds')
         group.add_argument(f'--frame-{name}', dest=f'sensor_frame_{name}', metavar='FRAME',
                            help='name of its frame')
     parser.add_argument(
-        '--format', choices=FORMATS, default='tum', help='of the trajectories (default: tum)')
+        '--format', choices=FORMATS, default='tum',
+        help='files (tum) or a bag (mcap, sqlite3) (default: tum)')
     parser.add_argument(
         '--message', choices=MESSAGES, default='odometry',
         help='type of the messages in a bag (default: odometry)')

@@ -125,13 +125,14 @@ class CalibrationConfig:
         0.02, 'largest time between the two poses of a pair with nearest, seconds',
         minimum=0.0, maximum=3600.0)
     time_offset: float = _option(
-        0.0, 'added to the stamps of b, seconds', minimum=-4e9, maximum=4e9)
+        0.0, 'added to the stamps of b, seconds; where the search starts, unless '
+        'time_offset_mode is fixed', minimum=-4e9, maximum=4e9)
     time_offset_mode: str = _option(
         'auto', f'fixed: time_offset is used; {_MODES}. Unless fixed, clock drift is corrected, '
         'too', choices=MODES)
     max_time_offset: float = _option(
-        5.0, 'largest difference from time_offset that is searched, seconds; 0 leaves the clocks '
-        'alone', minimum=0.0, maximum=3600.0)
+        5.0, 'the search goes this far from time_offset, seconds; 0: no search',
+        minimum=0.0, maximum=3600.0)
     scale: float = _option(
         1.0, 'metres of a per metre of b; the positions of b are multiplied by it',
         minimum=1e-6, maximum=1e6)
@@ -152,18 +153,18 @@ class CalibrationConfig:
         choices=('auto', 'ipopt', 'path', 'alternating'))
 
     prior_translation: str = _option(
-        '', 'known position of b in a, metres: x,y,z with - for unknown; empty: none')
+        '', 'known position of b in a, metres: x,y,z with - for unknown')
     prior_translation_std: str = _option(
         '', 'standard deviations of prior_translation, metres: one number, or x,y,z; 0 fixes a '
         'component')
     prior_rotation: str = _option(
-        '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF; empty: none')
+        '', 'known orientation of b in a, degrees: roll,pitch,yaw as in URDF')
     prior_rotation_std: str = _option(
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
         'three with - for unknown; 0 fixes a component')
     allow_unobserved: bool = _option(
-        default=False, text='let the node publish results with unobservable directions, which are '
-        'flagged as always')
+        default=False, text='let the node publish, and exports be written of, results with '
+        'unobservable directions; these stay marked')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
         'metres', minimum=0.0, maximum=1e3)

@@ -285,7 +285,7 @@ EXPORTS: dict[str, Exporter] = {
     'tum': Exporter('one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'tum',
                     _tum),
     'autoware': Exporter(
-        'sensor_kit_calibration.yaml: the pose of the child under its parent', 'yaml',
+        'the pose of the child under its parent, as in sensor_kit_calibration.yaml', 'yaml',
         lambda item: sensor_kit([item]), stem='sensor_kit_calibration'),
     'kalibr': Exporter(
         'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '

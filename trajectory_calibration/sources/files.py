@@ -27,6 +27,7 @@ from trajectory_calibration.sources import structured
 from trajectory_calibration.sources.layouts import (
     from_headings,
     from_names,
+    FROM_NUMBERS,
     from_numbers,
     KITTI,
     Layout,
@@ -220,8 +221,8 @@ class FileSource:
                 f'{max(layout.quaternion) + 1} of {table.width} columns ({layout.source}). If it '
                 'is not: --columns')
         first = np.abs(raw.poses[~lost][:1, 3:])
-        if layout.source in ('TUM', 'its numbers') and np.array_equal(first, [[1, 0, 0, 0]]) and (
-                self.quaternion_order is None):
+        if layout.source in ('TUM', FROM_NUMBERS) and self.quaternion_order is None and (
+                np.array_equal(first, [[1, 0, 0, 0]])):
             raw.findings.append(Finding(
                 'quaternion-order',
                 f'{self._name}: the first quaternion is 1 0 0 0, half a turn about x. If the '

@@ -21,6 +21,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 QUATERNION_ORDERS = ('xyzw', 'wxyz')
 # Unit of time -> digits after the point of a second.
 TIME_UNITS = {'s': 0, 'ms': 3, 'us': 6, 'ns': 9}
+FROM_NUMBERS = 'from the numbers'
 
 _TOLERANCE = 1e-2
 # Share of the rows that must fit; the others are what a SLAM writes while it is lost.
@@ -65,7 +66,7 @@ class Layout:
     def describe(self) -> str:
         """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and how another order is read where it matters."""
         text = f'{_names(self)} ({self.source})'
-        if self.source in ('TUM', 'its numbers') and self.quaternion:
+        if self.source in ('TUM', FROM_NUMBERS) and self.quaternion:
             order = 'wxyz' if self.quaternion[3] < self.quaternion[0] else 'xyzw'
             text += f'; assumed: {order}. Another order: --quaternion-order'
         return text
@@ -145,7 +146,7 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
                     f'{", ".join(names[k].strip() for k in columns)}; say which one counts: '
                     f'--columns with the names of all {width} columns ({_TUM}, - skips one)')
             roles[role] = columns[0]
-        return _layout(roles, 'its heading')
+        return _layout(roles, 'from the heading')
     return None
 
 
@@ -223,7 +224,7 @@ def _candidates(width: int, *, timed: bool) -> list[Layout]:
         for time in ('none', 'time', 'seconds'):
             first = numbered + {'none': 0, 'time': 1, 'seconds': 2}[time]
             base = Layout(
-                'its numbers', time=None if time == 'none' else int(numbered),
+                FROM_NUMBERS, time=None if time == 'none' else int(numbered),
                 nanoseconds=numbered + 1 if time == 'seconds' else None,
                 unit='s' if time == 'seconds' else None, number=0 if numbered else None)
             rest = width - first

@@ -4,9 +4,9 @@
 
 Both sensors turn by the same angles about axes that differ by one constant rotation, wherever
 they are mounted, so that the times of turning tell the offset before anything else is known. The
-offsets that a grid leaves possible (``coarse_offset.py``) are refined between its cells. Motion
-that repeats itself, or is over soon, agrees at several: of those that chance leaves undecided the
-one nearest to what was given is taken, and the others are named.
+offsets that a grid leaves possible (``cross_correlation.py``) are refined between its cells.
+Motion that repeats itself, or is over soon, agrees at several: of those that chance leaves
+undecided the one nearest to what was given is taken, and the others are named.
 """
 
 from __future__ import annotations

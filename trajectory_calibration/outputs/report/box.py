@@ -63,8 +63,8 @@ def _against_truth(rows: tuple[Row, ...]) -> str:
     far = [row.name for row in rows if row.sigma is not None and row.sigma > FAR]
     if not far:
         return ''
-    return (f' <span class="unknown">Error beyond {FAR:g} σ in {", ".join(far)}: is the ground '
-            'truth of these frames?</span>')
+    return (f' <span class="unknown">Error beyond {FAR:g} σ in {", ".join(far)}: does the '
+            'ground truth belong to these frames?</span>')
 
 
 def facts_list(result: CalibrationResult, driven: str) -> str:

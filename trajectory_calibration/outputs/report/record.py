@@ -27,13 +27,13 @@ GLOSSARY = (
     ('status', ('ok: deviation below the limit of the settings; weak: above it; unknown: not '
      'determined by the motion; prior: the value was given beforehand')),
     ('motion', 'relative pose between two instants; A of sensor a, B of sensor b: A X = X B'),
-    ('residual', ('what is left of a motion of a after that of b, carried over to a, is taken '
-     'off; small residuals alone do not prove a good extrinsic')),
-    ('jump', ('a step in which the trajectories part at once: loop closure, relocalisation or '
-     'restart of a SLAM; excluded')),
-    ('gap', 'a time in which a sensor has no poses'),
+    ('residual', ('difference between a motion of a and that of b, carried over to a; small '
+     'residuals alone do not prove a good extrinsic')),
+    ('jump', ('sudden change of one trajectory without motion: loop closure, relocalisation '
+     'or restart of a SLAM; excluded')),
+    ('gap', 'time in which a sensor has no poses'),
     ('drift', 'error of a trajectory that grows with the distance'),
-    ('roll, pitch, yaw', 'turns about the fixed x, then y, then z axis of a, as in URDF'),
+    ('roll, pitch, yaw', 'rotations about the fixed x, then y, then z axis of a, as in URDF'),
 )
 
 

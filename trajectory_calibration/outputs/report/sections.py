@@ -42,7 +42,7 @@ def _tracks(data: ReportData) -> str:
     angle = float(np.quantile(tracks.angle_deg, 0.5))
     figures = (
         figure('Both tracks', track_view(tracks), reading,
-               'one line on top of the other, slow parting as both drift',
+               'one line on top of the other, a distance that grows slowly as both drift',
                'another shape, a mirrored curve or another size: wrong pairing, frame or unit',
                wide=True, legend=key)
         + figure('Distance between a and b carried over', draw.distance_over_time(data),
@@ -67,10 +67,10 @@ def _motion(data: ReportData) -> str:
     found = np.array(observability.excitation_deg)
     need = data.need_deg
     if need is None:
-        reading = 'The need cannot be told without a covariance.'
+        reading = 'Without a covariance, the needed rotation is not known.'
     else:
         enough = int(np.sum(found >= need))
-        reading = (f'{enough} of 3 axes reach the need of {need:.2g} deg; at least 2 must, '
+        reading = (f'Axes with the needed {need:.2g} deg: {enough} of 3; at least 2 are needed, '
                    'because a rotation says nothing about the translation along its own axis.')
     key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
     growth = data.parts.growth_std
@@ -78,14 +78,14 @@ def _motion(data: ReportData) -> str:
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
         half = growth[len(growth) // 2]
         gain = float(np.nanmedian(half / np.maximum(growth[-1], 1e-300)))
-        flat = (f'The second half of the drive improved the deviations {gain:.2g} times '
-                '(more of the same motion: 1.4 times).')
+        flat = (f'The second half of the drive made the deviations {gain:.2g} times smaller '
+                '(1.4 is usual for more of the same motion).')
     figures = (
         figure('Rotation by axis of a', draw.rotation_by_axis(data), reading,
                'two or three bars above the line', 'one bar only: a flat floor')
         + figure('Translation against driving time',
                  draw.deviation_over_time(data, rotation=False),
-                 flat or 'The drive is too short to tell.',
+                 flat or 'The drive is too short for this figure.',
                  'falling below the dashed line, then flat', 'above the line at the end',
                  legend=key)
         + figure('Rotation against driving time', draw.deviation_over_time(data, rotation=True),
@@ -116,7 +116,7 @@ def _parts(data: ReportData) -> str:
         3, 'Do parts of the data agree?', figures,
         'The extrinsic again from each quarter of the drive (Q1 to Q4) and from motions of one '
         'length in time, minus the answer, with bars of 2 standard deviations; the band is 2 '
-        'standard deviations of the answer. "?": the part alone does not tell.')
+        'standard deviations of the answer. "?": this part alone does not determine it.')
 
 
 def _agreement(data: ReportData, k: int) -> str:
@@ -124,9 +124,9 @@ def _agreement(data: ReportData, k: int) -> str:
     if found.is_open:
         return 'Not determined by the motion.'
     if not found.known.any():
-        return 'No part alone tells it.'
+        return 'No part alone determines it.'
     if not found.far.any():
-        return f'All {int(found.known.sum())} parts that tell agree.'
+        return f'All {int(found.known.sum())} parts that determine it agree.'
     names = (name if name.startswith('Q') else f'{name} s'
              for name in np.array(found.names)[found.far])
     return f'Disagree: {", ".join(names)}.'
@@ -170,7 +170,7 @@ def _residuals(data: ReportData) -> str:
 def _growth(data: ReportData, kind: int) -> str:
     found = data.residuals
     if not len(found.scales_s):
-        return 'The drive is too short to tell.'
+        return 'The drive is too short for this figure.'
     median = found.by_scale[:, kind, 2]
     unit = 'deg' if kind else 'm'
     return (f'Median {median[0]:.2g} {unit} over {found.scales_s[0]:g} s, {median[-1]:.2g} {unit} '
@@ -185,7 +185,7 @@ def _clocks(data: ReportData) -> str:
         applied += f', and a drift of {1e6 * result.clock_drift:+.1f} ppm'
     figures = figure(
         'Angular rates', draw.rates(clocks), f'The {clocks.seconds[-1] - clocks.seconds[0]:.0f} s '
-        f'with the most turning; {applied}.',
+        f'with the most rotation; {applied}.',
         'the curves rise and fall together', 'one runs ahead of the other, or has another shape',
         legend=key)
     if len(clocks.offsets_s):
@@ -200,8 +200,8 @@ def _clocks(data: ReportData) -> str:
     gaps = len(clocks.spans_a) + len(clocks.spans_b) - 2
     figures += figure(
         'Times with poses', draw.gap_strip(clocks),
-        f'{counted(gaps, "gap")}; {result.poses} pose pairs of {result.association.poses_a} '
-        f'poses of a and {result.association.poses_b} of b.',
+        f'{counted(gaps, "gap")}; {result.poses:,} pose pairs of {result.association.poses_a:,} '
+        f'poses of a and {result.association.poses_b:,} of b.',
         'two full bars of equal length', 'bars that overlap little, or are full of holes')
     if len(data.scale.seconds):
         spread = float(np.ptp(data.scale.ratio))
