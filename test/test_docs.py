@@ -4,6 +4,7 @@
 
 from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -12,7 +13,11 @@ import pytest
 from trajectory_calibration.data.findings import CATALOGUE, LEVELS
 
 pytestmark = pytest.mark.once
-DOCS = Path(__file__).resolve().parents[1] / 'docs'
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / 'docs'
+# What a command wrote, benchmark/, is no page.
+PAGES = [*ROOT.glob('*.md'), *DOCS.glob('*.md'), *DOCS.glob('tutorials/*.md'),
+         *DOCS.glob('drift_aware/*.md'), *DOCS.glob('benchmarks/*.md')]
 
 
 def test_every_code_of_a_finding_is_documented():
@@ -24,16 +29,30 @@ def test_every_code_of_a_finding_is_documented():
 
 
 def test_prose_has_at_most_99_columns():
-    # Tables cannot be wrapped, code blocks show real output, and a command writes benchmark/.
-    pages = [*DOCS.parent.glob('*.md'), *DOCS.glob('*.md'), *DOCS.glob('tutorials/*.md'),
-             *DOCS.glob('drift_aware/*.md'), *DOCS.glob('benchmarks/*.md')]
-    assert len(pages) > 20
-    for page in pages:
+    # Tables cannot be wrapped, and code blocks show real output.
+    assert len(PAGES) > 20
+    for page in PAGES:
         is_code = False
         for number, line in enumerate(page.read_text(encoding='utf-8').splitlines(), 1):
             is_code ^= line.startswith('```')
             if not is_code and not line.startswith(('|', '    ')):
                 assert len(line) <= 99, f'{page.name}, line {number}'
+
+
+def test_modules_and_benchmarks_that_pages_name_exist():
+    files = {'/' + path.relative_to(ROOT).as_posix()
+             for folder in ('trajectory_calibration', 'benchmarks', 'demo', 'docs', 'test')
+             for path in (ROOT / folder).rglob('*.py')}
+    named = 0
+    for page in PAGES:
+        text = page.read_text(encoding='utf-8')
+        wanted = re.findall(r'`([\w/]+\.py)`', text)
+        wanted += [f'benchmarks/{name}.py' for name in re.findall(r'-m benchmarks\.(\w+)', text)
+                   if not (ROOT / 'benchmarks' / name).is_dir()]
+        named += len(wanted)
+        for name in wanted:
+            assert any(path.endswith(f'/{name}') for path in files), f'{page.name}: {name}'
+    assert named > 30
 
 
 def test_codes_are_kebab_case_and_levels_are_known():
