@@ -43,9 +43,9 @@ def write_pair(folder, **kind):
     return [str(folder / name) for name in contents]
 
 
-def write_pair_bag(path, storage='mcap'):
+def write_pair_bag(path, storage='mcap', count=80):
     """Write /lidar/odom (Odometry) and /camera/pose (PoseStamped) with the same poses."""
-    stamps_ns, poses_a, poses_b = make_pair()
+    stamps_ns, poses_a, poses_b = make_pair(count)
     with BagFile(path, storage) as bag:
         for stamp, a, b in zip(
                 stamps_ns, rows(stamps_ns, poses_a)[0], rows(stamps_ns, poses_b)[0], strict=True):

@@ -24,7 +24,7 @@ from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import MotionError, SolverError, TrajectoryError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers import load_solver
@@ -73,6 +73,7 @@ def calibrate(
                 'stamps and poses, or load a file with FileSource')
     config = config or CalibrationConfig()
     solve: Solver = load_solver(config.solver)
+    recording = recording_of(trajectory_a, trajectory_b)
     trajectory_b = trajectory_b.scaled(config.scale)
     check_orientations(trajectory_a, trajectory_b, config)
     clock, pairs = match(trajectory_a, trajectory_b, config)
@@ -118,6 +119,7 @@ def calibrate(
         clock_drift_from_ns=clock.drift_from_ns,
         start_ns=int(pairs.stamps_ns[0]),
         duration_s=float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9,
+        recording=recording,
         diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
         findings=worst_first(in_total(
             clock.offset_s - config.time_offset, solution.time_offset_s, (

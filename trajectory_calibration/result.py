@@ -73,6 +73,8 @@ class CalibrationResult:
         it; None where the solver gives no certificate.
     start_ns, duration_s : first stamp of the pairs in the clock of a, and their time span; None
         in files that do not say so.
+    recording : digits that another result has only if its stamps and poses were the same; None in
+        files that do not say so.
     version : of the package that made the result.
 
     """
@@ -99,6 +101,7 @@ class CalibrationResult:
     optimality_gap: float | None = None
     start_ns: int | None = None
     duration_s: float | None = None
+    recording: str | None = None
     version: str = __version__
 
     def __post_init__(self) -> None:
@@ -195,6 +198,7 @@ class CalibrationResult:
             'start_ns': self.start_ns,
             'start_utc': self.start_utc,
             'duration_s': self.duration_s,
+            'recording': self.recording,
             'optimality_gap': self.optimality_gap,
             'observability': self.observability.to_dict(),
             'diagnosis': self.diagnosis,
@@ -254,6 +258,7 @@ class CalibrationResult:
                                 else _number(data['optimality_gap'])),
                 start_ns=_optional(int, data.get('start_ns')),
                 duration_s=_optional(float, data.get('duration_s')),
+                recording=_optional(str, data.get('recording')),
                 version=str(data['package_version']),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:

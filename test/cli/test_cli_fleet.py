@@ -51,6 +51,20 @@ def drives(tmp_path_factory):
     return folder
 
 
+def test_a_recording_that_is_given_twice_counts_once(drives, tmp_path, capsys):
+    shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'monday')
+    shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'tuesday')
+    fleet = 'fleet', f'{tmp_path}/in/*', *FAST, '--output', tmp_path / 'out'
+    status, _, err = run(capsys, *fleet)
+    assert status == 1
+    assert 'tuesday: the recording of monday again, counted once' in err
+    shutil.copytree(drives / 'drive1', tmp_path / 'in' / 'wednesday')
+    status, out, _ = run(capsys, *fleet)
+    assert status == 0
+    assert out.splitlines()[0].startswith('AGREE: 2 answers')
+    assert out.splitlines()[1] == 'tuesday: the recording of monday again, counted once'
+
+
 def test_a_pattern_without_a_match_is_no_recording(tmp_path, capsys):
     status, _, err = run(capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/x', '--b', '/y',
                          '--output', tmp_path)
@@ -198,8 +212,7 @@ jobs:
     assert entries['again'].result.config.solver == 'taylor'
     assert entries['again'].result.frame_a == 'velodyne'
     assert entries['files'].result is not None
-    bags = [str(tmp_path / name) for name in ('monday.mcap', 'broken.mcap')]
-    shutil.copytree(bags[0], tmp_path / 'tuesday.mcap')
+    write_pair_bag(tmp_path / 'tuesday.mcap', count=90)
     status, out, err = run(
         capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/lidar/odom', '--b', '/camera/pose',
         '--solver', 'park', '--jobs', '1', '--output', tmp_path / 'out')
@@ -236,8 +249,8 @@ def test_one_topic_is_not_two_sensors(capsys):
 
 
 def test_a_direction_that_a_drive_leaves_open_is_named(capsys, tmp_path):
-    noise = Noise(white=0.005)
     for k in range(3):
+        noise = Noise(white=0.005 + 0.001 * k)
         (tmp_path / f'flat{k}').mkdir()
         pair = simulate(with_noise(
             Scenario(20.0, Unicycle(ground=flat) if k else Unicycle()), noise, noise), 0)

@@ -3,6 +3,7 @@
 """``trajectory_calibration verify``, as a person calls it."""
 
 import json
+import shutil
 
 from cli_helpers import make_pair, rows, run, write_pair, write_pair_bag, X
 import numpy as np
@@ -65,10 +66,22 @@ def test_json_has_the_verdict_and_the_new_result(saved, tmp_path, capsys):
 
 def test_topics_of_a_bag(tmp_path, capsys):
     bag = write_pair_bag(tmp_path / 'x.mcap')
-    topics = '--bag', bag, '/lidar/odom', '/camera/pose'
-    run(capsys, 'calibrate', *topics, '--output', tmp_path / 'out')
-    status, out, err = run(capsys, 'verify', tmp_path / 'out' / 'result.yaml', *topics)
+    topics = '/lidar/odom', '/camera/pose'
+    run(capsys, 'calibrate', '--bag', bag, *topics, '--output', tmp_path / 'out')
+    other = write_pair_bag(tmp_path / 'y.mcap', count=90)
+    status, out, err = run(
+        capsys, 'verify', tmp_path / 'out' / 'result.yaml', '--bag', other, *topics)
     assert status == 0, out + err
+
+
+def test_the_recording_of_the_result_itself_tells_nothing(saved, tmp_path, capsys):
+    # Under other names, and with another solver: its errors are the same.
+    copies = [shutil.copy(saved.parent / f'{name}1.tum', tmp_path / f'{name}.txt')
+              for name in 'ab']
+    status, out, _ = run(capsys, 'verify', saved, *copies, '--solver', 'park')
+    assert status == 3
+    assert out == ('cannot tell x, y, z, rotation x, rotation y, rotation z (needs: another '
+                   'recording: the saved result was made of this one)\n')
 
 
 def test_files_in_exchange_are_a_question_and_no_movement(saved, tmp_path, capsys):

@@ -41,7 +41,8 @@ def fleet(result, count, step_of=None, seed=0, covariance=None, errors=1.0):
         step = np.zeros(6) if step_of is None else step_of(k)
         T = se3.moved(se3.moved(result.T_a_b, step), error)
         entries.append(Entry(f'fleet{k}', dataclasses.replace(
-            result, T_a_b=T, covariance=P, start_ns=result.start_ns + k * DAY_NS)))
+            result, T_a_b=T, covariance=P, start_ns=result.start_ns + k * DAY_NS,
+            recording=str(k))))
     return entries
 
 
@@ -73,6 +74,26 @@ def test_the_date_makes_the_order_and_names_break_ties(result):
     undated = [Entry(item.name, dataclasses.replace(item.result, start_ns=None))
                for item in entries]
     assert compare(undated).describe() == compare(entries).describe()
+
+
+def test_a_recording_that_is_given_twice_counts_once(result):
+    entries = fleet(result, 3)
+    again = Entry('copy', dataclasses.replace(
+        entries[0].result, start_ns=entries[2].result.start_ns, config=CalibrationConfig()))
+    found = compare([*entries, again])
+    alone = compare(entries)
+    assert (found.chi_squared, found.degrees_of_freedom) == (
+        alone.chi_squared, alone.degrees_of_freedom)
+    assert found.describe() == [
+        *alone.describe(), 'copy: the recording of fleet0 again, counted once']
+    assert [line.split()[:2] for line in to_text(found).splitlines()][-3] == ['copy', 'repeated']
+    assert 'the recording of fleet0 again' in fleet_page(found)
+    with pytest.raises(ResultError, match='2 to compare; again: the recording of fleet0'):
+        compare([entries[0], Entry('again', entries[0].result)])
+    # What older versions saved does not say of which recording it is.
+    unknown = [Entry(item.name, dataclasses.replace(item.result, recording=None))
+               for item in (entries[0], entries[0])]
+    assert compare(unknown).describe() == ['AGREE: 2 answers are of one extrinsic (chi2/dof 0)']
 
 
 def test_one_odd_answer_and_two_changes_are_found(result):
@@ -195,7 +216,8 @@ def test_answers_that_cannot_be_compared_are_refused(result):
     with pytest.raises(ResultError, match='camera in lidar; thermal in lidar'):
         compare([one, other])
     with pytest.raises(ResultError, match='no covariance'):
-        compare([one, Entry('two', dataclasses.replace(result, covariance=None))])
+        compare([one, Entry('two', dataclasses.replace(
+            result, covariance=None, recording='other'))])
 
 
 def test_names_in_short():

@@ -124,6 +124,16 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert json.loads((table / 'table.json').read_text())['moved'] == ['b']
 
 
+@pytest.mark.parametrize('option', [
+    ['--columns', 't,x,y,z,qw,qx,qy,qz'], ['--quaternion-order-b', 'wxyz'], ['--invert-a'],
+    ['--format-b', 'tum'], ['--times-a', 'x'], ['--frame-a', 'x']])
+def test_how_a_sensor_is_read_stands_in_the_description(mounts, tmp_path, capsys, option):
+    rig(*mounts).save(tmp_path / 'rig.yaml')
+    assert main(['verify', str(tmp_path / 'rig.yaml'), 'RIG.yaml', *option]) == 2
+    assert capsys.readouterr().err == (
+        f'error: {option[0]} is for A and B; write how a sensor is read below it in RIG.yaml\n')
+
+
 @pytest.mark.parametrize('arguments', [
     ['verify', 'rig.yaml', 'RIG.yaml', 'b.tum'],
     ['verify', 'result.yaml', 'a.tum'],

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 import json
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from trajectory_calibration.rig.comparison import compare_rigs, RigComparison
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.rig.result import RigResult
 from trajectory_calibration.rig.settings import SensorSettings
-from trajectory_calibration.sources.inputs import load_inputs
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 
 
 def verify_rig(
@@ -34,6 +34,11 @@ def verify_rig(
     """Calibrate the sensors of RIG.yaml without priors, and compare with a saved rig."""
     if arguments.b is not None:
         raise ConfigError(f'{arguments.result} is a rig: give one RIG.yaml in place of A and B')
+    for name in (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b')):
+        if vars(arguments).get(name):
+            option = name.removeprefix('file_').replace('_', '-')
+            raise ConfigError(f'--{option} is for A and B; write how a sensor is read below it in '
+                              f'{arguments.a}')
     description = RigDescription.load(Path(arguments.a))
     bags = [*description.bags, *map(Path, arguments.bag)]
     with progress_bar('reading') as progress:

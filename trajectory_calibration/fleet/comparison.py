@@ -44,12 +44,14 @@ class Entry:
     name : of the bag or file.
     result : what was found, or None.
     failure : why there is none, else ''.
+    repeated : whether that is because an earlier answer is of the same recording.
 
     """
 
     name: str
     result: CalibrationResult | None
     failure: str = ''
+    repeated: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +127,8 @@ class Comparison:
         if self.stretches and self.noise_ratio > 1.5:
             lines.append(
                 f'deviations enlarged {self.noise_ratio:.1f} times: so much do neighbours scatter')
-        failed = len(self.entries) - len(answers)
+        lines += [f'{entry.name}: {entry.failure}' for entry in self.entries if entry.repeated]
+        failed = sum(entry.result is None and not entry.repeated for entry in self.entries)
         if failed:
             lines.append(f'{failed} of {len(self.entries)} gave no answer')
         return lines
@@ -205,9 +208,13 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
     ordered = sorted(entries, key=lambda entry: (
         (entry.result.start_ns or 0) // (60 * 10**9) if entry.result is not None
         else float('inf')))
+    ordered = _each_recording_once(ordered)
     answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
     if len(answers) < 2:
-        raise ResultError(f'{counted(len(answers), "answer")}, needed at least 2 to compare')
+        again = ''.join(
+            f'; {entry.name}: {entry.failure}' for entry in ordered if entry.repeated)
+        raise ResultError(
+            f'{counted(len(answers), "answer")}, needed at least 2 to compare{again}')
     frames = {(result.frame_a, result.frame_b) for _, result in answers}
     if len(frames) > 1:
         pairs = '; '.join(f'{b} in {a}' for a, b in sorted(frames))
@@ -241,6 +248,20 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         stretches = []
     return Comparison(tuple(ordered), tuple(stretches), changes, chi_squared, max(dof, 1),
                       noise_ratio)
+
+
+def _each_recording_once(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries without the answers that share all errors with an earlier one."""
+    first: dict[tuple[str, str, str], Entry] = {}
+    kept = []
+    for entry in entries:
+        found, earlier = entry.result, entry
+        if found is not None and found.recording is not None:
+            earlier = first.setdefault((found.frame_a, found.frame_b, found.recording), entry)
+        kept.append(entry if earlier is entry else Entry(
+            entry.name, None, f'the recording of {earlier.name} again, counted once',
+            repeated=True))
+    return kept
 
 
 def _size(covariance: FloatArray) -> float:

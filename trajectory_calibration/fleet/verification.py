@@ -15,7 +15,7 @@ from trajectory_calibration.assessment.observability import (
     UNOBSERVED,
 )
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import (
     AssociationError,
     CalibrationError,
@@ -153,7 +153,8 @@ def verify(
     Returns
     -------
     Verification
-        Data that give no answer at all are a verdict, 'cannot tell', and no error.
+        Data that give no answer, and the recording that ``result`` was made of, are a verdict,
+        'cannot tell', and no error.
 
     Raises
     ------
@@ -170,6 +171,9 @@ def verify(
                           f'{result.frame_a} and {result.frame_b}; exchange A and B')
     notes = [] if frames == (result.frame_a, result.frame_b) else [
         f'data of {" and ".join(frames)}, saved result of {result.frame_a} and {result.frame_b}']
+    if result.recording == recording_of(trajectory_a, trajectory_b):
+        return _without_answer(result, ResultError(
+            'another recording: the saved result was made of this one'), notes)
     config = replace(
         config or result.config, prior_translation='', prior_translation_std='',
         prior_rotation='', prior_rotation_std='', allow_unobserved=True)

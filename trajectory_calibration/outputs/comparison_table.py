@@ -49,11 +49,11 @@ def to_json(comparison: Comparison) -> str:
 def cells_of(entry: Entry, most: int | None = None) -> tuple[str, ...]:
     """Return name, date, six numbers in words ('0.209 +- 0.063', 'unknown') and findings.
 
-    At most ``most`` of the findings. Of a recording without an answer: its name and why.
+    At most ``most`` of the findings. Of an entry without an answer: its name and why.
     """
     result = entry.result
     if result is None:
-        return entry.name, 'no answer', entry.failure
+        return entry.name, 'repeated' if entry.repeated else 'no answer', entry.failure
     date = (result.start_utc or '').replace('T', ' ').removesuffix('Z')
     codes = list(dict.fromkeys(found.code for found in result.findings))
     more = [] if most is None or len(codes) <= most else [f'+{len(codes) - most}']
