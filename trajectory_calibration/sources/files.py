@@ -17,48 +17,45 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.plausibility import lost_as_identity
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
 from trajectory_calibration.errors import ConfigError, counted, SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources import structured
 from trajectory_calibration.sources.layouts import (
+    EUROC,
     from_headings,
     from_names,
     FROM_NUMBERS,
     from_numbers,
     KITTI,
     Layout,
+    QUATERNION,
     QUATERNION_ORDERS,
+    ROTATION,
     TIME_UNITS,
     TUM,
 )
 from trajectory_calibration.sources.structured import (
-    ArrayTable,
     is_array,
     RawPoses,
+    read_array,
     structure_of,
     STRUCTURED,
 )
 from trajectory_calibration.sources.text import is_bag, read_bytes, Table
 from trajectory_calibration.sources.times import (
-    doubt_numbers,
+    judge_seconds,
     read_times,
-    repair_unpadded,
     require_own_stamps,
     unit_of,
 )
 
 __all__ = ['FORMATS', 'FileSource', 'is_bag', 'read_transform']
 
-_TABLES = {
-    'tum': TUM,
-    'euroc': Layout('EuRoC', time=0, unit='ns', position=(1, 2, 3), quaternion=(5, 6, 7, 4)),
-    'kitti': KITTI,
-}
-FORMATS = (*_TABLES, *STRUCTURED)
+_TABLES = {'tum': TUM, 'euroc': EUROC, 'kitti': KITTI}
+FORMATS = (*_TABLES, *STRUCTURED, 'npy')
 
 
 @dataclass(frozen=True)
@@ -103,25 +100,23 @@ class FileSource:
                 raise ConfigError(f'{name} {getattr(self, name)!r} is unknown; needed one of '
                                   f'{", ".join(choices)}')
         raw = self._timed(self._read())
-        if not len(raw.poses):
-            raise SourceError(f'{self.path} holds no poses')
         keep = self._usable(raw)
-        stamps_ns, poses = raw.stamps_ns, raw.poses if keep.all() else raw.poses[keep]
-        if stamps_ns is None:
+        if raw.stamps_ns is None:
             raise SourceError(
                 f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
                 'times as well, one a line: --times-a, --times-b (--times of inspect)')
-        stamps_ns = stamps_ns[keep]
+        stamps_ns, poses = raw.stamps_ns[keep], raw.poses[keep]
         require_own_stamps(stamps_ns, poses, str(self.path))
+        name = f'{self.sensor_frame}: {self.path}'
+        frames = self.world_frame, self.sensor_frame
+        findings = tuple(replace(item, text=f'{name}: {item.text}') for item in raw.findings)
         try:
             if poses.ndim == 3:
-                return Trajectory(stamps_ns, poses, self.world_frame, self.sensor_frame,
-                                  tuple(raw.findings))
+                return Trajectory(stamps_ns, poses, *frames, findings)
             return Trajectory.from_quaternions(
-                stamps_ns, poses[:, :3], poses[:, 3:], self.world_frame, self.sensor_frame,
-                tuple(raw.findings))
+                stamps_ns, poses[:, :3], poses[:, 3:], *frames, findings)
         except TrajectoryError as error:
-            raise SourceError(f'{self._name}: {error}') from error
+            raise SourceError(f'{name}: {error}') from error
 
     def describe(self) -> str:
         """Return how the file is read: its columns, or its format."""
@@ -132,77 +127,69 @@ class FileSource:
         """Return what the file holds."""
         path = Path(self.path)
         kind = self.file_format or ('npy' if is_array(path) else None)
-        if kind == 'npy':
-            return self._table(ArrayTable.load(path))
-        data = read_bytes(path)
+        data = read_array(path) if kind == 'npy' else read_bytes(path)
         if kind is None and self.columns is None:
             kind = structure_of(path, data[:2000])
-        read = {'g2o': structured.read_g2o, 'colmap': structured.read_colmap,
-                'nerfstudio': structured.read_nerfstudio}.get(kind or '')
-        return self._table(Table.parse(path, data)) if read is None else read(path, data)
+        if kind in STRUCTURED:
+            return STRUCTURED[kind](path, data)
+        return self._table(Table.parse(path, data))
 
-    def _table(self, table: Table | ArrayTable) -> RawPoses:
+    def _table(self, table: Table) -> RawPoses:
         """Return the poses of a table, all rows of it."""
         layout = self._layout(table)
         if table.width <= max(layout.pose_columns):
             raise SourceError(
                 f'{self.path}: {counted(table.width, "column")}, {layout.source} needs at least '
                 f'{max(layout.pose_columns) + 1}')
-        findings: list[Finding] = []
-        raw = RawPoses(
-            np.zeros((0, 7)), findings=findings, kind=counted(table.width, 'column'),
-            layout=layout.describe())
-        unit = self.time_unit or layout.unit or 's'
-        if layout.time is not None and not (self.time_unit or layout.unit):
-            unit = unit_of(table.sample()[:, layout.time])
+        unit = self.time_unit or layout.unit or (
+            's' if layout.time is None else unit_of(table.sample()[:, layout.time]))
         numbers = table.read_numbers(layout.pose_columns, layout.time, TIME_UNITS[unit])
-        values = numbers.values
+        raw = RawPoses(_poses(numbers.values, layout), kind=counted(table.width, 'column'),
+                       layout=layout.describe())
         if layout.time is not None:
-            values[~numbers.finite] = np.nan
+            raw.poses[~numbers.finite] = np.nan
             raw.stamps_ns = numbers.stamps_ns
             if unit == 'ns' and (~numbers.exact & (np.abs(raw.stamps_ns) < 2**53)).any():
                 raise SourceError(f'{self.path}: nanoseconds have no fraction; in which unit are '
                                   'the times? Say --time-unit')
-            if layout.nanoseconds is not None:
-                raw.stamps_ns = raw.stamps_ns + self._below_a_second(table, layout.nanoseconds)
+            if 'nsec' in layout.columns:
+                raw.stamps_ns = raw.stamps_ns + self._below_a_second(
+                    table, layout.columns['nsec'])
             elif unit == 's' and not self.time_unit:
-                raw.stamps_ns, repaired = repair_unpadded(
-                    numbers.stamps_ns, numbers.places, self._name)
-                findings += repaired or doubt_numbers(
-                    numbers.stamps_ns, numbers.places, self._name)
-            if unit != (layout.unit or 's') and not self.time_unit:
-                findings.append(Finding(
-                    'input-read-as', f'{self._name}: its times are read as {unit}, as their size '
-                    'tells', {'unit': unit}))
-        if layout.number is not None:
-            raw.numbers = np.rint(
-                table.read_numbers([layout.number]).values[:, 0]).astype(np.int64)
-        raw.poses = _poses(values, layout)
-        if layout.quaternion:
+                raw.stamps_ns, raw.findings = judge_seconds(raw.stamps_ns, numbers.places)
+            if unit not in ('s', layout.unit, self.time_unit):
+                raw.findings.append(Finding(
+                    'input-read-as', f'its times are read as {unit}, as their size tells',
+                    {'unit': unit}))
+        if 'number' in layout.columns:
+            raw.numbers = np.rint(table.read_numbers(
+                [layout.columns['number']]).values[:, 0]).astype(np.int64)
+        if layout.at(QUATERNION):
             self._require_unit(raw, table, layout)
-        findings += [Finding('input-repaired', f'{self._name}: {note}') for note in table.notes]
+        raw.findings += [Finding('input-repaired', note) for note in table.notes]
         return raw
 
-    def _layout(self, table: Table | ArrayTable) -> Layout:
+    def _layout(self, table: Table) -> Layout:
         """Return what the columns are: as the user, the heading, or the numbers say."""
         if self.columns is not None:
             return from_names(self.columns, table.width).ordered(self.quaternion_order)
         try:
-            headed = from_headings(table.headings, table.width)
+            layout = from_headings(table.headings, table.width)
             if self.file_format is not None:
+                columns = {} if layout is None else layout.columns
                 layout = _TABLES[self.file_format]
-                if headed is not None and headed.quaternion and layout.quaternion:
-                    layout = replace(layout, quaternion=headed.quaternion)
-                return layout.ordered(self.quaternion_order)
-            if headed is not None:
-                return headed.ordered(self.quaternion_order)
-            return from_numbers(
-                table.sample(), by_commas=table.separator == ',', timed=self.times is not None,
-                order=self.quaternion_order)
+                if 'qw' in columns and 'qw' in layout.columns:
+                    layout = replace(layout, columns=layout.columns | {
+                        name: columns[name] for name in QUATERNION})
+            elif layout is None:
+                layout = from_numbers(
+                    table.sample(), by_commas=table.separator == ',', timed=self.times is not None,
+                    order=self.quaternion_order)
+            return layout.ordered(self.quaternion_order)
         except SourceError as error:
             raise SourceError(f'{self.path}: {error}') from error
 
-    def _require_unit(self, raw: RawPoses, table: Table | ArrayTable, layout: Layout) -> None:
+    def _require_unit(self, raw: RawPoses, table: Table, layout: Layout) -> None:
         """Raise SourceError for quaternions that are none; see to a last row that is cut off."""
         lost = _lost(raw.poses)
         with np.errstate(over='ignore', invalid='ignore'):
@@ -215,20 +202,20 @@ class FileSource:
             wrong[-1] = False
         if wrong.any():
             k = int(np.argmax(wrong))
+            columns = layout.at(QUATERNION)
             raise SourceError(
                 f'{self.path}, line {table.line_numbers[k]}: the norm of the quaternion is '
-                f'{norm[k]:.6g}, needed 1; it is numbers {min(layout.quaternion) + 1} to '
-                f'{max(layout.quaternion) + 1} of {table.width} columns ({layout.source}). If it '
-                'is not: --columns')
+                f'{norm[k]:.6g}, needed 1; it is numbers {min(columns) + 1} to {max(columns) + 1} '
+                f'of {table.width} columns ({layout.source}). If it is not: --columns')
         first = np.abs(raw.poses[~lost][:1, 3:])
         if layout.source in ('TUM', FROM_NUMBERS) and self.quaternion_order is None and (
                 np.array_equal(first, [[1, 0, 0, 0]])):
             raw.findings.append(Finding(
                 'quaternion-order',
-                f'{self._name}: the first quaternion is 1 0 0 0, half a turn about x. If the '
-                'sensor began without a rotation, w comes first: add --quaternion-order wxyz'))
+                'the first quaternion is 1 0 0 0, half a turn about x. If the sensor began '
+                'without a rotation, w comes first: add --quaternion-order wxyz'))
 
-    def _below_a_second(self, table: Table | ArrayTable, column: int) -> NDArray[np.int64]:
+    def _below_a_second(self, table: Table, column: int) -> NDArray[np.int64]:
         values = table.read_numbers([column]).values[:, 0]
         if not ((values >= 0) & (values < 1e9)).all():
             raise SourceError(f'{self.path}: column {column + 1} holds no nanoseconds below one '
@@ -242,7 +229,7 @@ class FileSource:
         if raw.stamps_ns is not None and raw.numbers is None:
             raise SourceError(f'{self.path} carries its own times; leave {self.times} out')
         stamps_ns, missing, notes = read_times(Path(self.times), self.time_unit)
-        raw.findings += [Finding('input-repaired', f'{self._name}: {note}') for note in notes]
+        raw.findings += [Finding('input-repaired', note) for note in notes]
         poses, count = len(raw.poses), len(stamps_ns)
         numbers = raw.numbers
         if numbers is not None and poses != count and numbers[0] >= 0 and numbers[-1] < count:
@@ -261,45 +248,31 @@ class FileSource:
     def _usable(self, raw: RawPoses) -> NDArray[np.bool_]:
         """Return which rows hold a pose; say how many do not."""
         lost = _lost(raw.poses)
-        count = int(np.count_nonzero(lost))
-        if count:
-            raw.findings.append(Finding(
-                'poses-lost', f'{self._name}: dropped {count} of {counted(len(lost), "pose")}, '
-                'not finite', {'poses': count}))
         identity = np.zeros(len(lost), dtype=bool)
         identity[~lost] = lost_as_identity(raw.poses[~lost])
-        count = int(np.count_nonzero(identity))
-        if count:
-            raw.findings.append(Finding(
-                'poses-lost', f'{self._name}: dropped {count} of {counted(len(lost), "pose")}: '
-                'identity, far from the neighbours (the SLAM was lost?)', {'poses': count}))
-        keep = ~lost & ~identity
+        for found, why in ((lost, ', not finite'), (
+                identity, ': identity, far from the neighbours (the SLAM was lost?)')):
+            count = int(np.count_nonzero(found))
+            if count:
+                raw.findings.append(Finding(
+                    'poses-lost', f'dropped {count} of {counted(len(lost), "pose")}{why}',
+                    {'poses': count}))
+        keep: NDArray[np.bool_] = ~lost & ~identity
         if np.count_nonzero(keep) < 2:
-            reasons = '; '.join(
-                found.text.removeprefix(f'{self._name}: ') for found in raw.findings)
-            because = f' ({reasons})' if reasons else ''
+            because = f' ({"; ".join(texts(raw.findings))})' if raw.findings else ''
             raise SourceError(
                 f'{self.path}: poses in {np.count_nonzero(keep)} of {counted(len(keep), "row")}, '
                 f'needed at least 2{because}; record while the sensor moves and its SLAM tracks')
         return keep
 
-    @property
-    def _name(self) -> str:
-        return f'{self.sensor_frame}: {self.path}'
-
 
 def read_transform(path: str | os.PathLike[str]) -> FloatArray:
     """Read one (4, 4) transform, the pose of b in a, from a file.
 
-    One row ``[t] x y z qx qy qz qw``, metres; the stamp is ignored.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, or holds something else.
-
+    One row ``[t] x y z qx qy qz qw``, metres; the stamp is ignored. Raise SourceError where the
+    file cannot be read, or holds something else.
     """
-    table = Table.read(Path(path))
+    table = Table.parse(Path(path), read_bytes(Path(path)))
     if len(table.line_numbers) != 1:
         raise SourceError(
             f'{path} holds {len(table.line_numbers)} rows, needed one transform: '
@@ -320,15 +293,15 @@ def read_transform(path: str | os.PathLike[str]) -> FloatArray:
 
 def _poses(values: FloatArray, layout: Layout) -> FloatArray:
     """Return (N, 7) poses or (N, 4, 4) matrices of the columns of a pose."""
-    if layout.quaternion:
+    if layout.at(QUATERNION):
         return values
     T = np.zeros((len(values), 4, 4))
     T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
-    if layout.rotation:
+    if layout.at(ROTATION):
         T[:, :3, :3] = values[:, 3:].reshape(-1, 3, 3)
         return T
-    angles = np.deg2rad(values[:, 3:]) if layout.degrees else values[:, 3:]
-    T[:, :3, :3] = se3.rotation_from_roll_pitch_yaw(angles)
+    unit = np.pi / 180 if 'roll_deg' in layout.columns else 1.0
+    T[:, :3, :3] = se3.rotation_from_roll_pitch_yaw(unit * values[:, 3:])
     return T
 
 

@@ -27,73 +27,83 @@ _TOLERANCE = 1e-2
 # Share of the rows that must fit; the others are what a SLAM writes while it is lost.
 _MOST = 0.7
 _TUM = 't,x,y,z,qx,qy,qz,qw'
-_ROTATION = tuple(f'r{i}{j}' for i in '123' for j in '123')
+POSITION, QUATERNION = ('x', 'y', 'z'), ('qx', 'qy', 'qz', 'qw')
+_LAST_COLUMN = ('r14', 'r24', 'r34')
+ROTATION = tuple(f'r{i}{j}' for i in '123' for j in '123')
+_MATRIX = ('r11', 'r12', 'r13', 'x', 'r21', 'r22', 'r23', 'y', 'r31', 'r32', 'r33', 'z')
+_ANGLES = ('roll', 'pitch', 'yaw')
+_DEGREES = ('roll_deg', 'pitch_deg', 'yaw_deg')
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which column holds what; None or empty where the file does not have it.
+    """Which column holds what.
 
     Attributes
     ----------
     source : how this is known, for messages.
-    time : the time; nanoseconds : what has to be added to it, where it counts whole seconds.
+    columns : where the file has what: ``t``, or ``sec`` and ``nsec``, or in their place the
+        ``number`` of the frame; x, y, z; qx, qy, qz, qw, or r11 to r33, or roll, pitch, yaw, or
+        the same in degrees, roll_deg.
     unit : of the time, 's', 'ms', 'us' or 'ns'; None where its size must tell.
-    number : of the frame, where that stands in place of a time.
-    position : x, y, z.
-    quaternion : qx, qy, qz, qw.
-    rotation : nine columns, row by row.
-    angles : roll, pitch, yaw; degrees : their unit.
 
     """
 
     source: str
-    time: int | None = None
-    nanoseconds: int | None = None
+    columns: dict[str, int]
     unit: str | None = None
-    number: int | None = None
-    position: tuple[int, ...] = ()
-    quaternion: tuple[int, ...] = ()
-    rotation: tuple[int, ...] = ()
-    angles: tuple[int, ...] = ()
-    degrees: bool = False
+
+    @property
+    def time(self) -> int | None:
+        """The column of the time, or of its whole seconds."""
+        return self.columns.get('t', self.columns.get('sec'))
 
     @property
     def pose_columns(self) -> list[int]:
-        """All columns of the pose."""
-        return [*self.position, *self.quaternion, *self.rotation, *self.angles]
+        """All columns of the pose: the position, then the orientation."""
+        return self.at(POSITION) + (
+            self.at(QUATERNION) or self.at(ROTATION) or self.at(_ANGLES) or self.at(_DEGREES))
+
+    def at(self, names: Sequence[str]) -> list[int]:
+        """Return the columns of such names, none unless there are all of them."""
+        return [self.columns[name] for name in names] if self.columns.keys() >= {*names} else []
+
+    def names(self) -> str:
+        """Return the layout as ``--columns`` takes it."""
+        names = {k: '-' if name == 'number' else name for name, k in self.columns.items()}
+        return ','.join(names.get(k, '-') for k in range(max(names) + 1))
 
     def describe(self) -> str:
         """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and how another order is read where it matters."""
-        text = f'{_names(self)} ({self.source})'
-        if self.source in ('TUM', FROM_NUMBERS) and self.quaternion:
-            order = 'wxyz' if self.quaternion[3] < self.quaternion[0] else 'xyzw'
+        text = f'{self.names()} ({self.source})'
+        if self.source in ('TUM', FROM_NUMBERS) and 'qw' in self.columns:
+            order = 'wxyz' if self.columns['qw'] < self.columns['qx'] else 'xyzw'
             text += f'; assumed: {order}. Another order: --quaternion-order'
         return text
 
     def ordered(self, order: str | None) -> Layout:
         """Return the layout with the quaternion in another order than it says."""
-        if order is None or not self.quaternion:
+        if order is None or 'qw' not in self.columns:
             return self
-        first = min(self.quaternion)
-        x, y, z, w = range(first, first + 4) if order == 'xyzw' else (
-            first + 1, first + 2, first + 3, first)
-        return replace(self, quaternion=(x, y, z, w))
+        first = min(self.at(QUATERNION))
+        return replace(self, columns=self.columns | {
+            f'q{axis}': first + k for k, axis in enumerate(order)})
 
 
-TUM = Layout('TUM', time=0, position=(1, 2, 3), quaternion=(4, 5, 6, 7))
-KITTI = Layout('KITTI', position=(3, 7, 11), rotation=(0, 1, 2, 4, 5, 6, 8, 9, 10))
+def _named(source: str, names: Sequence[str], unit: str | None = None) -> Layout:
+    return Layout(source, {name: k for k, name in enumerate(names)}, unit)
+
+
+TUM = _named('TUM', _TUM.split(','))
+EUROC = replace(TUM.ordered('wxyz'), source='EuRoC', unit='ns')
+KITTI = _named('KITTI', _MATRIX)
 _USUAL = {8: TUM, 12: KITTI}
 
 
 def from_names(text: str, width: int) -> Layout:
     """Return the layout that the user gave: names separated by commas, ``-`` skips a column.
 
-    Raises
-    ------
-    ConfigError
-        A name is unknown, stands twice, or the pose is not complete.
-
+    Raise ConfigError where a name is unknown, stands twice, or the pose is not complete.
     """
     names = [name.strip() for name in text.split(',')]
     if len(names) > width:
@@ -119,11 +129,7 @@ def from_names(text: str, width: int) -> Layout:
 def from_headings(headings: Sequence[str], width: int) -> Layout | None:
     """Return the layout that a heading names, None where none of them does.
 
-    Raises
-    ------
-    SourceError
-        A heading names two columns for one thing.
-
+    Raise SourceError where a heading names two columns for one thing.
     """
     for heading in reversed(headings):
         text = re.sub(r'\s+(?=[\[(])', '', heading.lstrip('#%/ \t"'))
@@ -155,22 +161,11 @@ def from_numbers(
 ) -> Layout:
     """Return the only layout that fits the numbers.
 
-    Parameters
-    ----------
-    sample : (N, C)
-        Rows of the file; NaN for words.
-    by_commas : bool
-        Whether commas separate the columns.
-    timed : bool
-        Whether the times come from another file.
-    order : str
-        Of the quaternion, where the user says so.
+    ``sample`` are (N, C) rows of the file, NaN for words. ``by_commas`` tells whether commas
+    separate the columns, ``timed`` whether the times come from another file, ``order`` is that of
+    the quaternion, where the user says so.
 
-    Raises
-    ------
-    SourceError
-        None fits, several do, or the order of the quaternion is open.
-
+    Raise SourceError where none fits, several do, or the order of the quaternion is open.
     """
     width = sample.shape[1]
     seen = f'{counted(width, "column")} without a heading that names them'
@@ -181,30 +176,37 @@ def from_numbers(
         # What is wrong with a row of it is a better message than that nothing fits.
         return _USUAL[width].ordered(order)
     if not fitting:
-        raise SourceError(f'{seen}, and no known layout fits{_hint(sample)}; say what they are, '
-                          f'for instance --columns {_TUM} (- skips a column)')
+        raise SourceError(f'{seen}, and no known layout fits{_HINTS.get(width, "")}; say what '
+                          f'they are, for instance --columns {_TUM} (- skips a column)')
     if len(fitting) > 1:
-        raise SourceError(f'{seen}, which may be {" or ".join(map(_names, fitting))}; say which '
-                          'with --columns')
+        raise SourceError(f'{seen}, which may be {" or ".join(map(Layout.names, fitting))}; say '
+                          'which with --columns')
     layout = fitting[0]
-    quaternion = layout.quaternion
-    if not quaternion:
-        return layout
-    if order is not None:
+    quaternion = layout.at(QUATERNION)
+    if order is not None or not quaternion:
         return layout.ordered(order)
-    if by_commas and layout.time == 0 and layout.position == (1, 2, 3) and _nanoseconds(sample):
+    if by_commas and layout.at(('t', 'x')) == [0, 1] and _nanoseconds(sample):
         # The layout of EuRoC, the only one with commas that its numbers tell.
-        return replace(layout.ordered('wxyz'), source='EuRoC', unit='ns')
-    if min(quaternion) < min(layout.position):
+        return EUROC
+    if min(quaternion) < min(layout.at(POSITION)):
         raise SourceError(
             f'{seen}; the order of the quaternion (columns {quaternion[0] + 1} to '
-            f'{quaternion[3] + 1}?) is open: --columns {_names(layout)} or --columns '
-            f'{_names(layout.ordered("wxyz"))}')
+            f'{quaternion[3] + 1}?) is open: --columns {layout.names()} or --columns '
+            f'{layout.ordered("wxyz").names()}')
     if by_commas:
         raise SourceError(
             f'{seen}, separated by commas: the order of the quaternion is open; say '
             '--quaternion-order xyzw or --quaternion-order wxyz')
     return layout
+
+
+# What tables of so many columns may be that hold no known layout.
+_HINTS = {
+    3: ': positions without an orientation cannot be calibrated',
+    4: ': positions without an orientation cannot be calibrated',
+    6: ': three angles? Then --columns x,y,z,roll,pitch,yaw',
+    7: ': three angles in radians? Then --columns t,x,y,z,roll,pitch,yaw',
+}
 
 
 def _nanoseconds(sample: FloatArray) -> bool:
@@ -220,30 +222,21 @@ def _nanoseconds(sample: FloatArray) -> bool:
 def _candidates(width: int, *, timed: bool) -> list[Layout]:
     """Return all layouts of so many columns."""
     found = []
-    for numbered in (False, True):
-        for time in ('none', 'time', 'seconds'):
-            first = numbered + {'none': 0, 'time': 1, 'seconds': 2}[time]
-            base = Layout(
-                FROM_NUMBERS, time=None if time == 'none' else int(numbered),
-                nanoseconds=numbered + 1 if time == 'seconds' else None,
-                unit='s' if time == 'seconds' else None, number=0 if numbered else None)
-            rest = width - first
-            if rest >= 7 and (rest == 7 or time != 'none'):
-                found.append(replace(base, position=tuple(range(first, first + 3)),
-                                     quaternion=tuple(range(first + 3, first + 7))))
-            if rest == 7:
-                found.append(replace(base, position=tuple(range(first + 4, first + 7)),
-                                     quaternion=tuple(range(first, first + 4))))
-            if rest in (12, 16):
-                found.append(replace(
-                    base, position=tuple(first + k for k in (3, 7, 11)),
-                    rotation=tuple(first + k for k in (0, 1, 2, 4, 5, 6, 8, 9, 10))))
-    if timed:
-        # With times from elsewhere, what looks like a time is the number of the frame.
-        found += [replace(layout, time=None, number=layout.time) for layout in found
-                  if layout.time is not None and layout.number is None
-                  and layout.nanoseconds is None]
-    return list(dict.fromkeys(found))
+    for start in ((), ('t',), ('sec', 'nsec'),
+                  ('number',), ('number', 't'), ('number', 'sec', 'nsec')):
+        rest = width - len(start)
+        # With times from elsewhere, what looks like a time may be the number of the frame.
+        has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
+        poses: list[tuple[str, ...]] = []
+        if rest == 7 or (rest > 7 and has_time):
+            poses.append(POSITION + QUATERNION)
+        if rest == 7:
+            poses.append(QUATERNION + POSITION)
+        if rest in (12, 16):
+            poses.append(_MATRIX)
+        found += [_named(FROM_NUMBERS, start + pose, 's' if 'sec' in start else None)
+                  for pose in poses]
+    return found
 
 
 def _fits(layout: Layout, sample: FloatArray) -> bool:
@@ -251,7 +244,7 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
     rows = sample[np.isfinite(used).all(axis=1) & (used != 0).any(axis=1)]
     if len(rows) < 1:
         return False
-    if layout.number is not None and not _counts(rows[:, layout.number]):
+    if 'number' in layout.columns and not _counts(rows[:, layout.columns['number']]):
         return False
     if layout.time is not None:
         time = rows[:, layout.time]
@@ -259,20 +252,20 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
         if np.isnan(time).any() or backwards > (1 - _MOST) * len(time) or (
                 len(time) > 1 and time.max() == time.min()):
             return False
-    if layout.nanoseconds is not None:
-        seconds, rest = rows[:, layout.time], rows[:, layout.nanoseconds]
+    if 'nsec' in layout.columns:
+        seconds, rest = rows[:, layout.at(('sec', 'nsec'))].T
         whole = (seconds == np.rint(seconds)) & (rest == np.rint(rest))
         if not (whole & (rest >= 0) & (rest < 1e9)).all() or rest.max() < 1e3:
             return False
     with np.errstate(over='ignore', invalid='ignore'):
-        if layout.quaternion:
-            norm = np.linalg.norm(rows[:, layout.quaternion], axis=1)
+        if layout.at(QUATERNION):
+            norm = np.linalg.norm(rows[:, layout.at(QUATERNION)], axis=1)
             good = np.abs(norm - 1.0) <= _TOLERANCE
         else:
-            R = rows[:, layout.rotation].reshape(-1, 3, 3)
+            R = rows[:, layout.at(ROTATION)].reshape(-1, 3, 3)
             off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
             good = off <= _TOLERANCE
-            last = [max(layout.position) + k for k in range(1, 5)]
+            last = [max(layout.at(POSITION)) + k for k in range(1, 5)]
             if last[-1] < sample.shape[1]:
                 good &= (rows[:, last] == [0, 0, 0, 1]).all(axis=1)
     return bool(good.mean() >= _MOST)
@@ -284,53 +277,25 @@ def _counts(values: FloatArray) -> bool:
     return bool(whole and (np.diff(values) > 0).all() and values[0] >= 0 and values[-1] < 1e8)
 
 
-def _hint(sample: FloatArray) -> str:
-    width = sample.shape[1]
-    return {
-        3: ': positions without an orientation cannot be calibrated',
-        4: ': positions without an orientation cannot be calibrated',
-        6: ': three angles? Then --columns x,y,z,roll,pitch,yaw',
-        7: ': three angles in radians? Then --columns t,x,y,z,roll,pitch,yaw',
-    }.get(width, '')
-
-
-def _names(layout: Layout) -> str:
-    """Return a layout as ``--columns`` takes it."""
-    names = {layout.number: '-', layout.time: 't'}
-    if layout.nanoseconds is not None:
-        names.update({layout.time: 'sec', layout.nanoseconds: 'nsec'})
-    names.update(zip(layout.position, 'xyz', strict=False))
-    names.update(zip(layout.quaternion, ('qx', 'qy', 'qz', 'qw'), strict=False))
-    names.update(zip(layout.rotation, _ROTATION, strict=False))
-    names.pop(None, None)
-    return ','.join(names.get(k, '-') for k in range(max(k for k in names if k is not None) + 1))
-
-
 def _layout(roles: dict[str, int], source: str, *, angles: bool = False) -> Layout | None:
     """Return the layout of named columns; None where they make no pose."""
-    def columns(*names: str) -> tuple[int, ...]:
-        return tuple(roles[name] for name in names) if roles.keys() >= {*names} else ()
+    def first_complete(*choices: Sequence[str]) -> Sequence[str]:
+        return next((names for names in choices if roles.keys() >= {*names}), ())
 
-    position = columns('x', 'y', 'z') or columns('r14', 'r24', 'r34')
-    degrees = 'roll_deg' in roles
-    # The first of these that is complete.
-    quaternion = columns('qx', 'qy', 'qz', 'qw')
-    rotation = () if quaternion else columns(*_ROTATION)
-    turned = () if quaternion or rotation or not angles else columns(
-        *(f'{axis}{"_deg" * degrees}' for axis in ('roll', 'pitch', 'yaw')))
-    if not position or not (quaternion or rotation or turned):
+    position = first_complete(POSITION, _LAST_COLUMN)
+    orientation = first_complete(
+        QUATERNION, ROTATION, *([_DEGREES if 'roll_deg' in roles else _ANGLES] * angles))
+    if not position or not orientation:
         return None
-    unit = next((unit for unit in TIME_UNITS if f't_{unit}' in roles), None)
-    time = roles.get('t', roles.get(f't_{unit}'))
-    nanoseconds = None
-    if 'sec' in roles and 'nsec' in roles:
-        time, nanoseconds, unit = roles['sec'], roles['nsec'], 's'
-    elif time is None:
-        time = roles.get('sec', roles.get('nsec'))
-        unit = 's' if 'sec' in roles else 'ns' if 'nsec' in roles else unit
-    number = roles.get('number') if time is None else None
-    return Layout(source, time, nanoseconds, unit, number, position, quaternion,
-                  rotation, turned, degrees)
+    columns = {name: roles[role] for name, role in zip(POSITION, position, strict=True)}
+    columns.update((name, roles[name]) for name in orientation)
+    if roles.keys() >= {'sec', 'nsec'}:
+        return Layout(source, columns | {name: roles[name] for name in ('sec', 'nsec')}, 's')
+    units = {'t': None, **{f't_{unit}': unit for unit in TIME_UNITS}, 'sec': 's', 'nsec': 'ns'}
+    for name, unit in units.items():
+        if name in roles:
+            return Layout(source, columns | {'t': roles[name]}, unit)
+    return Layout(source, columns | {'number': roles['number']} if 'number' in roles else columns)
 
 
 # Words in the name of a column that belong to something else than the pose and its time.

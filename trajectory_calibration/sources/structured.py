@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,10 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.numbers import is_number, Numbers
+from trajectory_calibration.sources.numbers import is_number
 from trajectory_calibration.sources.text import Table
 from trajectory_calibration.sources.times import stamps_in_names
 
-STRUCTURED = ('g2o', 'colmap', 'nerfstudio', 'npy')
 _COLMAP_COLUMNS = 10
 
 
@@ -47,58 +45,6 @@ class RawPoses:
     layout: str = ''
 
 
-class ArrayTable:
-    """The rows of a .npy file: as a ``Table`` whose numbers are read already.
-
-    Attributes
-    ----------
-    See ``Table``.
-
-    """
-
-    separator, complete = None, True
-
-    def __init__(self, values: FloatArray) -> None:
-        self.headings: list[str] = []
-        self.notes: list[str] = []
-        self.line_numbers = range(1, len(values) + 1)
-        self.width = values.shape[1]
-        self._values = values
-
-    @classmethod
-    def load(cls, path: Path) -> ArrayTable:
-        """Read a file of shape (N, 4, 4), (N, 3, 4) or one row a pose; times are seconds."""
-        try:
-            array = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-        except Exception as error:
-            # NumPy raises whatever a damaged header happens to hit.
-            raise SourceError(f'{path} cannot be read as an array of numbers ({error})') from error
-        if array.ndim == 3 and array.shape[1:] in ((3, 4), (4, 4)):
-            array = array.reshape(len(array), -1)
-        if array.ndim != 2 or not array.size:
-            raise SourceError(f'{path} holds an array of shape {array.shape}; needed (N, 4, 4), '
-                              '(N, 3, 4) or one row a pose')
-        return cls(array)
-
-    def read_numbers(
-        self, columns: Sequence[int], time_column: int | None = None, decimals: int = 0,
-    ) -> Numbers:
-        """Return columns as ``Table.read_numbers`` does."""
-        time = np.zeros(0) if time_column is None else self._values[:, time_column]
-        scaled = time * 10 ** (9 - decimals)
-        finite = np.abs(scaled) < 9.2e18
-        stamps_ns = np.rint(np.where(finite, scaled, 0.0)).astype(np.int64)
-        return Numbers(self._values[:, list(columns)], stamps_ns, np.full(len(time), -1), finite,
-                       ~finite | (scaled == stamps_ns))
-
-    def sample(self) -> FloatArray:
-        """Return all rows."""
-        return self._values
-
-    def drop_last(self) -> None:
-        """Do nothing: no row of an array is cut off."""
-
-
 def is_array(path: Path) -> bool:
     """Tell whether a file is an array of NumPy, whatever its name."""
     try:
@@ -107,6 +53,22 @@ def is_array(path: Path) -> bool:
     except OSError:
         # Reading it says what is wrong.
         return False
+
+
+def read_array(path: Path) -> bytes:
+    """Return the table in a file of shape (N, 4, 4), (N, 3, 4) or one row a pose, as text."""
+    try:
+        array = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    except Exception as error:
+        # NumPy raises whatever a damaged header happens to hit.
+        raise SourceError(f'{path} cannot be read as an array of numbers ({error})') from error
+    if array.ndim == 3 and array.shape[1:] in ((3, 4), (4, 4)):
+        array = array.reshape(len(array), -1)
+    if array.ndim != 2 or not array.size:
+        raise SourceError(f'{path} holds an array of shape {array.shape}; needed (N, 4, 4), '
+                          '(N, 3, 4) or one row a pose')
+    # repr gives the shortest text that reads back as the same number.
+    return ''.join(f'{" ".join(map(repr, row))}\n' for row in array.tolist()).encode()
 
 
 def structure_of(path: Path, beginning: bytes) -> str | None:
@@ -190,3 +152,6 @@ def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
 def _square(matrix: Any) -> list[list[float]]:
     """Return a matrix with its last row."""
     return [*matrix, [0.0, 0.0, 0.0, 1.0]] if len(matrix) == 3 else matrix
+
+
+STRUCTURED = {'g2o': read_g2o, 'colmap': read_colmap, 'nerfstudio': read_nerfstudio}

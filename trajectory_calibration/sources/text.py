@@ -60,20 +60,11 @@ class Table:
     notes: list[str] = field(default_factory=list)
 
     @classmethod
-    def read(cls, path: Path) -> Table:
-        """Read a file.
-
-        Raises
-        ------
-        SourceError
-            The file cannot be read, is no text, or its rows are of unequal length.
-
-        """
-        return cls.parse(path, read_bytes(path))
-
-    @classmethod
     def parse(cls, path: Path, data: bytes) -> Table:
-        """Make a table of the text of a file; see ``read``."""
+        """Make a table of the text of a file.
+
+        Raise SourceError where it is no table, or its rows are of unequal length.
+        """
         foreign = _FOREIGN.match(data)
         if foreign is not None:
             kind = 'XML' if foreign[1] == b'<' else 'JSON'
@@ -82,7 +73,7 @@ class Table:
         complete = data.endswith(b'\n')
         body = data[start:] if complete else data[start:] + b'\n'
         numbers: Sequence[int] = range(first_line, first_line + body.count(b'\n'))
-        if any(mark in body for mark in (b'#', b'%', b'//', b'\n\n')):
+        if any(mark in body for mark in (b'#', b'%', b'/', b'\n\n')):
             lines = body.splitlines(keepends=True)
             rows = [row for row, line in enumerate(lines)
                     if line.strip() and not line.lstrip().startswith(_COMMENTS)]
@@ -94,11 +85,11 @@ class Table:
             if b',' in line:
                 raise SourceError(f'{path}, line {numbers[0]}: commas and semicolons; write '
                                   'decimals with a point')
-            body = body.replace(b';', b',')
-        if line.rstrip().endswith((b',', b';')):
+            body, line = body.replace(b';', b','), line.replace(b';', b',')
+        if line.rstrip().endswith(b','):
             # A comma after the last field means nothing.
             body = re.sub(rb',[ \t]*\n', b'\n', body)
-        separator = ',' if b',' in line or b';' in line else None
+        separator = ',' if b',' in line else None
         table = cls(path, body, numbers, headings, separator, 0, complete)
         counts = [len(row.split(separator)) for row in table.ends()[0]]
         table.width = max(counts, key=counts.count) if len(counts) > 2 else counts[0]

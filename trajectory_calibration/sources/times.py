@@ -34,27 +34,29 @@ def unit_of(values: FloatArray) -> str:
     return next((unit for unit, least in _EPOCHS if size >= least), 's')
 
 
-def repair_unpadded(
-    stamps_ns: Stamps, places: NDArray[np.intp], name: str,
+def judge_seconds(
+    stamps_ns: Stamps, places: NDArray[np.intp],
 ) -> tuple[Stamps, list[Finding]]:
-    """Undo ``sec.nsec`` that was written without leading zeros, as 12.7 for 12.000000007.
+    """Return times that were read as seconds, repaired or in doubt, and what is to be said.
 
-    The lengths of the fractions then differ, and the times, read as decimals, run to and fro.
+    ``places`` are their digits after the point. Undone is ``sec.nsec`` that was written without
+    leading zeros, as 12.7 for 12.000000007: the lengths of the fractions then differ, and the
+    times, read as decimals, run to and fro.
     """
     longest = int(places.max(initial=0))
     if longest not in _PARTS or int(places.min(initial=0)) == longest or (places < 0).any():
-        return stamps_ns, []
+        return stamps_ns, _doubts(stamps_ns, places)
     tens = 10 ** np.arange(10, dtype=np.int64)
     seconds = stamps_ns // tens[9]
     written = (stamps_ns - seconds * tens[9]) // tens[9 - places]
     repaired = seconds * tens[9] + written * tens[9 - longest]
     if not _is_better(repaired, stamps_ns):
-        return stamps_ns, []
+        return stamps_ns, _doubts(stamps_ns, places)
     count = int(np.count_nonzero(repaired != stamps_ns))
     return repaired, [Finding(
         'stamps-unpadded',
-        f'{name}: {count:,} of {counted(len(stamps_ns), "time")} have fractions without leading '
-        'zeros (sec.nsec): repaired', {'stamps': count})]
+        f'{count:,} of {counted(len(stamps_ns), "time")} have fractions without leading zeros '
+        '(sec.nsec): repaired', {'stamps': count})]
 
 
 def _is_better(new: Stamps, old: Stamps) -> bool:
@@ -95,7 +97,7 @@ def require_own_stamps(
         f'are rounded to {step:.3g} s ({digits} digits); {advice}')
 
 
-def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> list[Finding]:
+def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
     """Return a question where the times, read as seconds, look like numbers of frames."""
     steps = np.diff(stamps_ns)
     # Fewer poses, or seconds since 1970, are no reason to ask.
@@ -109,8 +111,8 @@ def doubt_numbers(stamps_ns: Stamps, places: NDArray[np.intp], name: str) -> lis
     first = ', '.join(str(int(stamp) // 10**9) for stamp in stamps_ns[:3])
     return [Finding(
         'stamps-are-numbers',
-        f'{name}: are its times {first}, ... numbers of frames? They were read as seconds; give '
-        'the times with --times (one a line)')]
+        f'are its times {first}, ... numbers of frames? They were read as seconds; give the times '
+        'with --times (one a line)')]
 
 
 def read_times(
