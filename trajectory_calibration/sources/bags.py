@@ -7,9 +7,10 @@ Of a damaged bag, what is whole is used, with a note that says how much is missi
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 
@@ -79,20 +80,13 @@ class BagSource:
 def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
     """Open several bags together; they close with the ``with`` statement.
 
-    Raises
-    ------
-    SourceError
-        A path is no bag, or nothing in any of them can be read.
-
+    Raise SourceError where a path is no bag, or nothing in any of them can be read.
     """
     # Patterns of the shell name a bag twice.
     once = {os.path.realpath(path): Path(path) for path in paths}
-    opened = [_OpenBag(find_bag(path)) for path in once.values()]
+    bags = [find_bag(path) for path in once.values()]
     with ExitStack() as stack:
-        for bag in opened:
-            stack.callback(bag.close)
-            bag.open()
-        yield BagReader(opened)
+        yield BagReader([_OpenBag(bag, stack) for bag in bags])
 
 
 class BagReader:
@@ -110,13 +104,11 @@ class BagReader:
             raise SourceError(
                 f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
                 'was recorded, or record anew')
-        counts: dict[tuple[str, str, str], int] = {}
+        counts: Counter[Channel] = Counter()
         for bag in bags:
             for channel in bag.channels():
-                key = channel.topic, channel.msgtype, channel.encoding
-                counts[key] = counts.get(key, 0) + channel.messages
-        self.channels = [Channel(topic, msgtype, counts[topic, msgtype, encoding], encoding)
-                         for topic, msgtype, encoding in sorted(counts)]
+                counts[channel._replace(messages=0)] += channel.messages
+        self.channels = [channel._replace(messages=counts[channel]) for channel in sorted(counts)]
 
     @property
     def notes(self) -> list[str]:
@@ -126,48 +118,42 @@ class BagReader:
     @property
     def serving(self) -> list[str]:
         """Return the topics that can serve as a trajectory."""
-        types: dict[str, set[str]] = {}
-        for channel in self.channels:
-            types.setdefault(channel.topic, set()).add(
-                channel.msgtype if _can_serve(channel) else '')
-        return [topic for topic, found in types.items() if len(found) == 1 and '' not in found]
+        topics = dict.fromkeys(channel.topic for channel in self.channels)
+        return [topic for topic in topics if not self._fault(topic)]
 
     def read(
         self, names: Sequence[str], progress: Progress | None = None,
     ) -> dict[str, TopicTrack]:
         """Read topics and ``tf:PARENT.CHILD`` in one pass; the first carries the notes on bags.
 
-        Raises
-        ------
-        TopicError
-            No such topic, or it cannot serve; the message lists those that can.
-
+        Raise TopicError where there is no such topic, or it cannot serve; the message lists those
+        that can.
         """
-        chains = [name for name in names if names_frames(name)]
-        topics = {name: self._topic(name) for name in names if name not in chains}
+        topics = {name: self._topic(name) for name in names if not names_frames(name)}
         types = {topic: self._serving_type(topic) for topic in topics.values()}
         for bag in self._bags:
             bag.found.clear()
-        transforms = self._transform_topics(required=True) if chains else []
+        transforms = self._transform_topics() if len(topics) < len(names) else []
+        if len(topics) < len(names) and not transforms:
+            raise self._topic_error('no topic of transforms (/tf)')
         parts, tf = self._gather(types, transforms, progress)
         result = {}
         for name in names:
-            wanted = transforms if name in chains else [topics[name]]
-            warnings = [note for topic in wanted for note in self._missing(topic)]
-            if name == names[0]:
-                warnings[:0] = self.notes
-            if name in chains:
-                track = transform_track(name, transform_tree(tf), tf)
-            else:
+            if name in topics:
                 topic = topics[name]
                 track = join_tracks(topic, types[topic], without_repeats(parts[topic]))
+            else:
+                track = transform_track(name, transform_tree(tf), tf)
+            warnings = [note for topic in ([topics[name]] if name in topics else transforms)
+                        for bag in self._bags for note in bag.missing(topic)]
+            if name == names[0]:
+                warnings[:0] = self.notes
             result[name] = replace(track, warnings=tuple(warnings))
         return result
 
     def transforms(self, progress: Progress | None = None) -> TransformTree:
         """Return all transforms of the bags; none where they hold no such topic."""
-        _, tf = self._gather({}, self._transform_topics(required=False), progress)
-        return transform_tree(tf)
+        return transform_tree(self._gather({}, self._transform_topics(), progress)[1])
 
     def _gather(
         self, types: dict[str, str], transforms: list[str], progress: Progress | None,
@@ -189,14 +175,11 @@ class BagReader:
             for item in bag.files:
                 for topic, collector in item.read(wanted, step).items():
                     if isinstance(collector, TransformCollector):
-                        tf.append(collector)
+                        tf += [collector] if collector.count else []
                     else:
-                        parts[topic].append((str(bag.bag.path), collector.track()))
-                    bag.found[topic] = bag.found.get(topic, 0) + collector.count
-        return parts, [collector for collector in tf if collector.count]
-
-    def _missing(self, topic: str) -> list[str]:
-        return [note for bag in self._bags for note in bag.missing(topic)]
+                        parts[topic].append((str(bag.path), collector.track()))
+                    bag.found[topic] += collector.count
+        return parts, tf
 
     def _topic(self, name: str) -> str:
         """Return the name of a topic that was given with or without its leading slash."""
@@ -205,69 +188,62 @@ class BagReader:
         return other if name not in topics and other in topics else name
 
     def _serving_type(self, topic: str) -> str:
+        fault = self._fault(topic)
+        if fault:
+            raise self._topic_error(fault)
+        return next(channel.msgtype for channel in self.channels if channel.topic == topic)
+
+    def _fault(self, topic: str) -> str:
+        """Say why a topic cannot serve as a trajectory; nothing where it can."""
         channels = [channel for channel in self.channels if channel.topic == topic]
         types = [channel.msgtype for channel in channels]
-        if len(set(types)) == 1 and types[0] in TRAJECTORY_TYPES:
-            encodings = {channel.encoding for channel in channels}
-            if encodings <= set(_READABLE):
-                return types[0]
-            found = (f'topic {topic} is written as {", ".join(sorted(encodings))}, and only '
-                     f'{" and ".join(_READABLE)} can be read')
-        elif not types:
-            found = f'no topic {topic}'
-        elif len(set(types)) > 1:
-            found = f'topic {topic} has several types ({", ".join(types)})'
-        elif types[0] == TF:
-            found = f'topic {topic} holds transforms; name a pair of frames, tf:PARENT.CHILD'
-        else:
-            found = f'topic {topic} is {types[0]}, which cannot serve as a trajectory'
-        raise self._topic_error(found)
+        encodings = sorted({channel.encoding for channel in channels})
+        if not types:
+            return f'no topic {topic}'
+        if len(set(types)) > 1:
+            return f'topic {topic} has several types ({", ".join(types)})'
+        if types[0] == TF:
+            return f'topic {topic} holds transforms; name a pair of frames, tf:PARENT.CHILD'
+        if types[0] not in TRAJECTORY_TYPES:
+            return f'topic {topic} is {types[0]}, which cannot serve as a trajectory'
+        if set(encodings) <= set(_READABLE):
+            return ''
+        return (f'topic {topic} is written as {", ".join(encodings)}, and only '
+                f'{" and ".join(_READABLE)} can be read')
 
-    def _transform_topics(self, *, required: bool) -> list[str]:
-        found = [channel.topic for channel in self.channels
-                 if channel.msgtype == TF and channel.encoding in _READABLE]
-        if required and not found:
-            raise self._topic_error('no topic of transforms (/tf)')
-        return list(dict.fromkeys(found))
+    def _transform_topics(self) -> list[str]:
+        return list(dict.fromkeys(
+            channel.topic for channel in self.channels
+            if channel.msgtype == TF and channel.encoding in _READABLE))
 
     def _topic_error(self, found: str) -> TopicError:
         serving = [
             f'{channel.topic} ({channel.msgtype.split("/")[-1]}, '
             f'{counted(channel.messages, "message")})'
-            for channel in self.channels if _can_serve(channel)]
-        if self._transform_topics(required=False):
+            for channel in self.channels
+            if channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE]
+        if self._transform_topics():
             serving.append('tf:PARENT.CHILD (inspect lists the frames)')
-        names = ', '.join(str(item.bag.path) for item in self._bags)
+        names = ', '.join(str(bag.path) for bag in self._bags)
         notes = f'; {"; ".join(self.notes)}' if self.notes else ''
         return TopicError(f'{names}: {found}; topics that can serve: '
                           f'{", ".join(serving) or "none"}{notes}')
 
 
-def _can_serve(channel: Channel) -> bool:
-    return channel.msgtype in TRAJECTORY_TYPES and channel.encoding in _READABLE
-
-
-@dataclass
 class _OpenFile:
     """A file of a bag: its storage, or None where nothing in it can be read, and its damage."""
 
-    path: Path
-    storage: Storage | None = None
-    damage: str = ''
-    _stack: ExitStack = field(default_factory=ExitStack)
-
-    def open(self, *, count: bool) -> None:
+    def __init__(self, path: Path, stack: ExitStack, *, count: bool) -> None:
+        self.path, self.damage = path, ''
+        self.storage: Storage | None = None
         try:
             with border(lambda reason: setattr(self, 'damage', reason)):
-                path, damage = unpacked_file(self.path, self._stack)
-                self.storage = open_storage(path, count=count)
-                self._stack.callback(self.storage.close)
+                content, damage = unpacked_file(path, stack)
+                self.storage = open_storage(content, count=count)
+                stack.callback(self.storage.close)
                 self.damage = self.storage.damage = damage or self.storage.damage
         except SourceError as error:
-            raise SourceError(f'{self.path}: {error}') from error
-
-    def close(self) -> None:
-        self._stack.close()
+            raise SourceError(f'{path}: {error}') from error
 
     def read(
         self, types: dict[str, str], step: Callable[[int], None],
@@ -286,46 +262,36 @@ class _OpenFile:
         return collectors
 
 
-@dataclass
 class _OpenBag:
     """A bag, how each of its files fared, and how many messages of each topic were found."""
 
-    bag: Bag
-    files: list[_OpenFile] = field(default_factory=list)
-    found: dict[str, int] = field(default_factory=dict)
-
-    def open(self) -> None:
-        for path in self.bag.files:
-            item = _OpenFile(path)
-            self.files.append(item)
-            item.open(count=not self.bag.declared)
-
-    def close(self) -> None:
-        for item in self.files:
-            item.close()
+    def __init__(self, bag: Bag, stack: ExitStack) -> None:
+        self.path, self._declared, self._notes = bag.path, bag.declared, bag.notes
+        self.files = [_OpenFile(path, stack, count=not bag.declared) for path in bag.files]
+        self.found: Counter[str] = Counter()
 
     def channels(self) -> list[Channel]:
         found = [channel for item in self.files if item.storage is not None
                  for channel in item.storage.channels]
-        declared = dict(self.bag.declared)
+        declared = dict(self._declared)
         return [channel._replace(messages=declared.pop(channel.topic, 0))
                 for channel in found] if declared else found
 
     def notes(self) -> list[str]:
-        return [f'{self.bag.path}: {note}' for note in self.bag.notes] + [
+        return [f'{self.path}: {note}' for note in self._notes] + [
             f'{item.path} is damaged: {item.damage}' for item in self.files if item.damage]
 
     def missing(self, topic: str) -> list[str]:
         """Say how many messages of a topic were not read."""
-        read = self.found.get(topic, 0)
+        read = self.found[topic]
         expected = max(
-            self.bag.declared.get(topic, 0),
+            self._declared.get(topic, 0),
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
-        found = f'{self.bag.path}: read {read}'
         if expected > read:
-            return [f'{found} of {counted(expected, "message")}, {expected - read} missing']
-        known = topic in self.bag.declared or all(
+            return [(f'{self.path}: read {read} of {counted(expected, "message")}, '
+                     f'{expected - read} missing')]
+        known = topic in self._declared or all(
             item.storage is not None and item.storage.counted for item in self.files)
         if any(item.damage for item in self.files) and not known:
-            return [f'{self.bag.path}: read {counted(read, "message")} of an unknown number']
+            return [f'{self.path}: read {counted(read, "message")} of an unknown number']
         return []

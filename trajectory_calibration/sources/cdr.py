@@ -55,22 +55,6 @@ _MAX_GROUPS = 8
 TwoFrames = tuple[str, str]
 
 
-class StampedPose(NamedTuple):
-    """One pose message.
-
-    Attributes
-    ----------
-    stamp_ns : header.stamp, nanoseconds.
-    frames : header.frame_id and child_frame_id, empty where the type has none.
-    pose : x, y, z (m), qx, qy, qz, qw.
-
-    """
-
-    stamp_ns: int
-    frames: TwoFrames
-    pose: tuple[float, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class PoseBlock:
     """Many pose messages.
@@ -124,15 +108,21 @@ class _Layout(NamedTuple):
     deciding: list[slice]
 
 
-def parse_pose(message: bytes, msgtype: str) -> StampedPose | None:
-    """Return the pose of a message of one of ``POSE_TYPES``, or None where it is damaged."""
+def parse_pose(
+    message: bytes, msgtype: str,
+) -> tuple[int, TwoFrames, tuple[float, ...]] | None:
+    """Return the pose of a message of one of ``POSE_TYPES``, or None where it is damaged.
+
+    That is header.stamp in nanoseconds; the frames, empty where the type has none; x, y, z (m),
+    qx, qy, qz, qw.
+    """
     layout = _layout(message, msgtype)
     if layout is None:
         return None
     (frames, stamp, pose), = layout.places
     sec, nanosec = struct.unpack_from(f'{layout.order}iI', message, stamp)
-    return StampedPose(sec * 1_000_000_000 + nanosec, frames,
-                       struct.unpack_from(f'{layout.order}7d', message, pose))
+    return (sec * 1_000_000_000 + nanosec, frames,
+            struct.unpack_from(f'{layout.order}7d', message, pose))
 
 
 def parse_poses(messages: Sequence[bytes], msgtype: str, *, ros1: bool = False) -> PoseBlock:
@@ -158,10 +148,11 @@ def parse_transforms(
     runs: list[TransformRun] = []
     damaged = 0
     for indices, rows, layout in _groups(messages, TF, ros1=ros1):
-        damaged += layout is None and len(indices)
-        runs += [] if layout is None else [
-            TransformRun(place.frames, indices, *_values(rows, place, layout.order))
-            for place in layout.places]
+        if layout is None:
+            damaged += len(indices)
+            continue
+        runs += [TransformRun(place.frames, indices, *_values(rows, place, layout.order))
+                 for place in layout.places]
     return runs, damaged
 
 
@@ -207,7 +198,7 @@ def _groups(
                 break
             layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
             same = _same(rows, [slice(None)] if layout is None else layout.deciding)
-            yield (indices, rows, layout) if same.all() else (indices[same], rows[same], layout)
+            yield indices[same], rows[same], layout
             indices, rows = indices[~same], rows[~same]
         for k, index in enumerate(indices.tolist()):
             yield (indices[k:k + 1], rows[k:k + 1],

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import NamedTuple
 
 from trajectory_calibration.errors import SourceError
@@ -57,6 +57,10 @@ class Storage(ABC):
     def note_damage(self, what: str) -> None:
         """Keep what is wrong, of several things the first."""
         self.damage = self.damage or what
+
+    def noting(self, what: str = '{}') -> AbstractContextManager[None]:
+        """Run what a damaged file may break, and note ``what`` with the reason in its place."""
+        return border(lambda reason: self.note_damage(what.format(reason)))
 
 
 @contextmanager

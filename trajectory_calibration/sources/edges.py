@@ -27,14 +27,13 @@ class Edge:
     ----------
     parent, child : names of the frames.
     static : whether the transform holds at all times.
-    changes : how many transforms differ from the one before.
 
     """
 
     parent: str
     child: str
     static: bool = False
-    changes: int = 0
+    _changes: int = 0
     _blocks: list[tuple[NDArray[np.int64], FloatArray]] = field(default_factory=list)
     _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
     _last: FloatArray | None = None
@@ -56,9 +55,8 @@ class Edge:
         stamps, new = stamps[usable], new[usable]
         if not len(new):
             return
-        first = new[:1] if self._last is None else self._last[None]
-        before = np.concatenate([first, new[:-1]])
-        self.changes += int(np.count_nonzero((new != before).any(axis=1)))
+        before = np.concatenate([new[:1] if self._last is None else self._last[None], new[:-1]])
+        self._changes += int(np.count_nonzero((new != before).any(axis=1)))
         self._last = new[-1]
         self._blocks.append((stamps, new))
 
@@ -70,9 +68,15 @@ class Edge:
             self._waiting = []
             self.extend(stamps, poses)
         if len(self._blocks) > 1:
-            self._blocks = [(np.concatenate([block[0] for block in self._blocks]),
-                             np.concatenate([block[1] for block in self._blocks]))]
+            stamps_ns, numbers = zip(*self._blocks, strict=True)
+            self._blocks = [(np.concatenate(stamps_ns), np.concatenate(numbers))]
         return self._blocks[0] if self._blocks else (np.zeros(0, np.int64), np.zeros((0, 7)))
+
+    def count_changes(self) -> int:
+        """Return how many transforms differ from the one before."""
+        # With those that wait.
+        _ = self.samples
+        return self._changes
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what no later pose needs."""

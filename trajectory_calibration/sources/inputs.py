@@ -57,23 +57,12 @@ def load_inputs(
 ) -> dict[str, Trajectory]:
     """Read several trajectories, those of bags in one pass.
 
-    Parameters
-    ----------
-    inputs : mapping
-        For each sensor its input, a file, a topic or ``tf:PARENT.CHILD``, and its options. The
-        name of the sensor is that of its frame where the input names none.
-    bags : sequence of Path
-        Bags that hold the topics and transforms.
-    progress : callable, optional
-        Called while bags are read.
+    ``inputs`` has for each sensor its input, a file, or a topic or ``tf:PARENT.CHILD`` of the
+    ``bags``, and its options. The name of the sensor is that of its frame where the input names
+    none. ``progress`` is called while bags are read.
 
-    Raises
-    ------
-    ConfigError
-        Two inputs are one, or an option does not fit an input.
-    SourceError
-        An input cannot be read.
-
+    Raise ConfigError where two inputs are one, or an option does not fit an input; SourceError
+    where an input cannot be read.
     """
     _require_different([name for name, _ in inputs.values()], topics=bool(bags))
     from_bags = {name for name, _ in inputs.values() if bags and not Path(name).is_file()}

@@ -10,7 +10,7 @@ from pathlib import Path
 import struct
 from zlib import crc32
 
-from trajectory_calibration.sources.channels import border, Channel, plain_type
+from trajectory_calibration.sources.channels import Channel, plain_type
 from trajectory_calibration.sources.packing import unpack
 from trajectory_calibration.sources.records import Gathered, RecordFile
 
@@ -27,7 +27,7 @@ class McapFile(RecordFile):
     """An open mcap file."""
 
     def __init__(self, path: Path) -> None:
-        self._schemas: dict[int, str] = {0: ''}
+        self._schemas: dict[int, str] = {}
         self._chunks: list[int] = []
         super().__init__(path)
 
@@ -39,42 +39,39 @@ class McapFile(RecordFile):
         if end < 0 or self._data[-len(_MAGIC):] != _MAGIC or self._data[end] != _FOOTER:
             self.note_damage('its end is missing')
             return None
-        start = int.from_bytes(self._data[end + 9:end + 17], 'little')
+        start = _uint(self._data, end + 9, 8)
         if not start:
             return None
-        counts, whole = None, False
-        with border(lambda reason: self.note_damage(f'its index is damaged: {reason}')):
+        counts, found = None, None
+        with self.noting('its index is damaged: {}'):
             crc = _uint(self._data, end + 25, 4)
             if crc and crc32(self._data[start:end + 25]) != crc:
                 raise ValueError('wrong checksum')
             for opcode, body in _records(self._data, start, end):
                 if opcode == _STATISTICS:
-                    counts = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
+                    found = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
                 elif opcode == _CHUNK_INDEX:
                     self._chunks.append(_uint(body, 16, 8))
                 else:
                     self._note(opcode, body)
-            if not crc and not self._confirmed():
-                raise ValueError('it differs from the data')
-            whole = True
-        if whole:
-            return counts
-        # What was understood of it is not trusted.
-        self._declared, self._schemas, self._chunks = {}, {0: ''}, []
-        return None
+            if not crc:
+                self._confirm()
+            counts = found
+        if counts is None:
+            # What was understood of it is not trusted.
+            for kept in (self._declared, self._schemas, self._chunks):
+                kept.clear()
+        return counts
 
-    def _confirmed(self) -> bool:
-        """Tell whether the channels of the first chunk are those of the index."""
-        indexed, schemas = dict(self._declared), dict(self._schemas)
-        first = next(((start, end) for opcode, start, end in self._walk() if opcode == _CHUNK),
-                     None)
-        if first is None:
-            return True
-        self._declared = {}
-        chunk = self._chunk(*first)
-        self._gather(chunk, 0, len(chunk) - _MESSAGE_HEAD.size, Gathered(()))
-        found, self._declared, self._schemas = self._declared, indexed, schemas
-        return all(indexed.get(key) == channel for key, channel in found.items())
+    def _confirm(self) -> None:
+        """Raise ValueError where the channels of the first chunk are not those of the index."""
+        indexed = dict(self._declared)
+        for opcode, start, end in self._walk():
+            if opcode == _CHUNK:
+                self._gather_chunk(start, end, Gathered(self._declared, ()))
+                break
+        if self._declared != indexed:
+            raise ValueError('it differs from the data')
 
     def _note(self, opcode: int, body: bytes) -> None:
         """Keep what a record says of the channels."""
@@ -89,13 +86,12 @@ class McapFile(RecordFile):
     def _read(self, gathered: Gathered) -> Iterator[None]:
         for opcode, start, end in self._walk():
             if opcode == _CHUNK:
-                chunk = self._chunk(start, end)
-                self._gather(chunk, 0, len(chunk) - _MESSAGE_HEAD.size, gathered)
+                self._gather_chunk(start, end, gathered)
             elif opcode == _MESSAGE:
                 self._gather(self._data, start, end, gathered)
             else:
                 self._note(opcode, self._data[start + _HEAD.size:end])
-                gathered.targets.clear()
+                gathered.clear()
             yield
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
@@ -119,14 +115,11 @@ class McapFile(RecordFile):
             offset = min((chunk for chunk in self._chunks if chunk > offset), default=last)
         self.note_damage('its end is missing')
 
-    def _chunk(self, start: int, end: int) -> bytes:
-        """Return the records inside a chunk; none where it is damaged, what is there if cut.
-
-        A message head may be read beyond the end: as many bytes follow.
-        """
+    def _gather_chunk(self, start: int, end: int, gathered: Gathered) -> None:
+        """Take the messages of a chunk; none where it is damaged, what is there if cut."""
         compression, size, crc, data = '', 0, 0, b''
         damaged = f'its chunk at byte {start} is damaged'
-        with border(lambda reason: self.note_damage(f'{damaged} ({reason})')):
+        with self.noting(f'{damaged} ({{}})'):
             record = self._data[start + _HEAD.size:end]
             size, crc = struct.unpack_from('<QI', record, 16)
             compression, at = _text(record, 28)
@@ -135,13 +128,14 @@ class McapFile(RecordFile):
             self.note_damage(f'{damaged} (wrong size or checksum)')
             # Of a last chunk that is cut off, the beginning is whole.
             data = data if len(data) < size and not compression else b''
-        return data + bytes(_MESSAGE_HEAD.size)
+        # The head of a message may be read beyond the end.
+        self._gather(data + bytes(_MESSAGE_HEAD.size), 0, len(data), gathered)
 
     def _gather(
         self, data: bytes | mmap.mmap, offset: int, end: int, gathered: Gathered,
     ) -> None:
         """Take the messages between two offsets; note channels on the way."""
-        head, targets = _MESSAGE_HEAD.unpack_from, gathered.targets
+        head = _MESSAGE_HEAD.unpack_from
         while offset + _MESSAGE_HEAD.size <= len(data) and offset < end:
             opcode, size, channel_id, _, time_ns, _ = head(data, offset)
             stop = offset + _HEAD.size + size
@@ -149,12 +143,9 @@ class McapFile(RecordFile):
                 self.note_damage('records inside a chunk are damaged')
                 return
             if opcode == _MESSAGE:
-                if channel_id not in targets:
-                    channel = self._declared.get(channel_id)
-                    if channel is None:
-                        self.note_damage('messages of a channel that is not declared')
-                    gathered.open(channel_id, channel)
-                target = targets[channel_id]
+                target = gathered[channel_id]
+                if target is None and channel_id not in self._declared:
+                    self.note_damage('messages of a channel that is not declared')
                 if target is not None:
                     received, messages = target
                     received.append(time_ns)
@@ -163,7 +154,7 @@ class McapFile(RecordFile):
                     gathered.count += 1
             elif opcode in (_SCHEMA, _CHANNEL):
                 self._note(opcode, data[offset + _HEAD.size:stop])
-                targets.clear()
+                gathered.clear()
             offset = stop
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.sources import cdr
@@ -23,25 +24,18 @@ _MOSTLY = 0.5
 def without_repeats(parts: Sequence[tuple[str, TopicTrack]]) -> list[TopicTrack]:
     """Return what each bag holds of one topic, without the messages that another one holds, too.
 
-    ``parts`` are what stands in one file each, with the name of its bag.
-
-    Raises
-    ------
-    SourceError
-        Two bags are of the same time, and their poses are not the same.
-
+    ``parts`` are what stands in one file each, with the name of its bag. Raise SourceError where
+    two bags are of the same time, and their poses are not the same.
     """
-    tracks: list[TopicTrack] = []
-    earlier: list[tuple[str, TopicTrack]] = []
+    done: list[tuple[str, TopicTrack]] = []
     for bag, recorded in parts:
         track = recorded
-        for other, before in earlier:
+        for other, before in done:
             # The files of one bag follow each other; of Paths only the last one counts.
             if other != bag and track.msgtype != cdr.PATH:
                 track = _without(track, before, bag, other)
-        earlier.append((bag, track))
-        tracks.append(track)
-    return tracks
+        done.append((bag, track))
+    return [track for _, track in done]
 
 
 def _without(track: TopicTrack, before: TopicTrack, bag: str, other: str) -> TopicTrack:
@@ -54,17 +48,16 @@ def _without(track: TopicTrack, before: TopicTrack, bag: str, other: str) -> Top
     # The last messages of one bag may come late into the next.
     if end_ns <= start_ns or count < _FEWEST_SHARED:
         return track
-    known = {(stamp, row.tobytes()) for stamp, row in zip(
-        before.stamps_ns.tolist(), before.poses, strict=True)}
-    same = np.array([
-        is_shared and (stamp, row.tobytes()) in known for stamp, row, is_shared in zip(
-            track.stamps_ns.tolist(), track.poses, shared.tolist(), strict=True)])
+    same = shared & np.isin(_rows(track), _rows(before))
     if np.count_nonzero(same) < _MOSTLY * count:
         raise SourceError(
             f'{track.topic}: {other} and {bag} overlap by {(end_ns - start_ns) * 1e-9:.1f} s with '
             'different poses: two runs? Give bags that follow each other, or calibrate each alone')
     note = f'{bag} repeats {counted(int(same.sum()), "message")} of {other}: used once'
-    return replace(
-        track, stamps_ns=track.stamps_ns[~same], received_ns=track.received_ns[~same],
-        poses=track.poses[~same], frame_index=track.frame_index[~same],
-        notes=(*track.notes, note))
+    return replace(track.only(~same), notes=(*track.notes, note))
+
+
+def _rows(track: TopicTrack) -> NDArray[np.void]:
+    """Return the bytes of stamp and pose of each message."""
+    rows = np.column_stack([track.stamps_ns.view(np.float64), track.poses])
+    return rows.view(f'V{rows.itemsize * rows.shape[1]}').ravel()

@@ -20,13 +20,8 @@ _BLOCK = 1 << 22
 def unpack(data: bytes, compression: str, size: int) -> bytes:
     """Return the content of compressed data of a known size.
 
-    Raises
-    ------
-    SourceError
-        The package that this needs is not installed.
-    ValueError
-        The format is not known.
-
+    Raise SourceError where the package that this needs is not installed, ValueError where the
+    format is not known.
     """
     if compression in ('', 'none'):
         return data

@@ -10,6 +10,7 @@ files, and mcap files of other profiles.
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Collection, Iterator
 import mmap
 from pathlib import Path
@@ -34,9 +35,9 @@ class RecordFile(Storage):
         counts = self._index()
         self.counted = counts is not None
         if counts is None:
-            counts = {}
+            counts = Counter()
             for key, received, _ in self._batches(None):
-                counts[key] = counts.get(key, 0) + len(received)
+                counts[key] += len(received)
         self.channels = [channel._replace(messages=counts.get(key, 0))
                          for key, channel in self._declared.items()]
 
@@ -53,11 +54,7 @@ class RecordFile(Storage):
     def _index(self) -> dict[int, int] | None:
         """Declare the channels of the index; return the messages of each, None without a count.
 
-        Raises
-        ------
-        ValueError
-            Not such a file.
-
+        Raise ValueError where it is not such a file.
         """
 
     @abstractmethod
@@ -68,42 +65,39 @@ class RecordFile(Storage):
         self, topics: Collection[str] | None,
     ) -> Iterator[tuple[int, list[int], list[bytes]]]:
         """Yield channel, times and messages; without the messages where no topics are given."""
-        gathered = Gathered(topics)
+        gathered = Gathered(self._declared, topics)
         for _ in self._read(gathered):
             if gathered.count >= _BLOCK:
                 yield from gathered.taken()
         yield from gathered.taken()
 
 
-class Gathered:
-    """Messages by channel until they are taken.
+class Gathered(dict[int, tuple[list[int], list[bytes] | None] | None]):
+    """Where times and messages of a channel go until they are taken.
 
-    Attributes
-    ----------
-    targets : where times and messages of a channel go, None for channels that nobody wants; no
-        list for messages that are only counted.
-    count : how many are waiting.
-
+    None for channels that nobody wants or declares; no list for messages that are only counted.
+    To be cleared where channels are declared anew. ``count`` is how many are waiting.
     """
 
-    def __init__(self, topics: Collection[str] | None) -> None:
-        self.targets: dict[int, tuple[list[int], list[bytes] | None] | None] = {}
+    def __init__(self, declared: dict[int, Channel], topics: Collection[str] | None) -> None:
+        super().__init__()
         self.count = 0
-        self._topics = topics
+        self._declared, self._topics = declared, topics
         self._lists: dict[int, tuple[list[int], list[bytes]]] = {}
 
-    def open(self, key: int, channel: Channel | None) -> None:
-        """Decide where the messages of a channel go."""
-        if channel is None or (self._topics is not None and channel.topic not in self._topics):
-            self.targets[key] = None
-            return
-        received, messages = self._lists.setdefault(key, ([], []))
-        self.targets[key] = received, None if self._topics is None else messages
+    def __missing__(self, key: int) -> tuple[list[int], list[bytes] | None] | None:
+        channel = self._declared.get(key)
+        target = None
+        if channel is not None and (self._topics is None or channel.topic in self._topics):
+            received, messages = self._lists.setdefault(key, ([], []))
+            target = received, None if self._topics is None else messages
+        self[key] = target
+        return target
 
     def taken(self) -> Iterator[tuple[int, list[int], list[bytes]]]:
         """Yield channel, times and messages, and begin anew."""
         lists, self._lists, self.count = self._lists, {}, 0
-        self.targets.clear()
+        self.clear()
         for key, (received, messages) in lists.items():
             if received:
                 yield key, received, messages

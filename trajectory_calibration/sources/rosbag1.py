@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 import mmap
 import struct
 
-from trajectory_calibration.sources.channels import border, Channel, plain_type
+from trajectory_calibration.sources.channels import Channel, plain_type
 from trajectory_calibration.sources.packing import unpack
 from trajectory_calibration.sources.records import Gathered, RecordFile
 
@@ -27,52 +28,45 @@ class Ros1File(RecordFile):
         if self._data[:len(_MAGIC)] != _MAGIC:
             kind = 'a bag of an older ROS' if self._data[:7] == b'#ROSBAG' else 'no bag of ROS 1'
             raise ValueError(f'it begins as {kind} does; needed #ROSBAG V2.0')
-        counts: dict[int, int] = {}
-        whole = False
-        with border(lambda reason: self.note_damage(
-                f'its index is damaged or cut off ({reason}); {_REINDEX}')):
+        counts: Counter[int] | None = None
+        with self.noting(f'its index is damaged or cut off ({{}}); {_REINDEX}'):
             fields, _, _ = _record(self._data, len(_MAGIC), len(self._data))
-            connections = int.from_bytes(fields[b'conn_count'], 'little')
-            start = int.from_bytes(fields[b'index_pos'], 'little')
+            connections, start = (_uint(fields[name]) for name in (b'conn_count', b'index_pos'))
             if not start:
                 self.note_damage(f'it was not closed and has no index; {_REINDEX}')
                 return None
+            found: Counter[int] = Counter()
             for operation, fields, body in _records(self._data, start, len(self._data)):
                 if operation == _CONNECTION:
                     self._note(fields, body)
                 elif operation == _CHUNK_INFO:
                     for connection, count in struct.iter_unpack('<II', body):
-                        counts[connection] = counts.get(connection, 0) + count
+                        found[connection] += count
             if len(self._declared) != connections:
                 raise ValueError(f'{len(self._declared)} of {connections} connections')
-            whole = True
-        if whole:
-            return counts
-        # What was understood of it is not trusted.
-        self._declared = {}
-        return None
+            counts = found
+        if counts is None:
+            # What was understood of it is not trusted.
+            self._declared.clear()
+        return counts
 
     def _note(self, fields: dict[bytes, bytes], body: bytes) -> None:
         """Keep a connection."""
-        described = _fields(body)
-        self._declared[int.from_bytes(fields[b'conn'], 'little')] = Channel(
-            fields[b'topic'].decode(), plain_type(described[b'type'].decode()), 0, 'ros1')
+        msgtype = plain_type(_fields(body)[b'type'].decode())
+        self._declared[_uint(fields[b'conn'])] = Channel(
+            fields[b'topic'].decode(), msgtype, 0, 'ros1')
 
     def _read(self, gathered: Gathered) -> Iterator[None]:
         for operation, fields, body in self._walk():
             if operation == _CONNECTION:
-                with border(lambda reason: self.note_damage(
-                        f'a connection is damaged ({reason})')):
+                with self.noting('a connection is damaged ({})'):
                     self._note(fields, body)
             elif operation == _MESSAGE:
-                key = int.from_bytes(fields.get(b'conn', b''), 'little')
-                time = fields.get(b'time', b'')
+                key, time = _uint(fields.get(b'conn', b'')), fields.get(b'time', b'')
                 if key not in self._declared or len(time) != 8:
                     self.note_damage('messages of a connection that is not declared')
                     continue
-                if key not in gathered.targets:
-                    gathered.open(key, self._declared[key])
-                target = gathered.targets[key]
+                target = gathered[key]
                 if target is not None:
                     received, messages = target
                     sec, nanosec = struct.unpack('<II', time)
@@ -89,8 +83,8 @@ class Ros1File(RecordFile):
                 yield operation, fields, body
                 continue
             size, chunk = 0, b''
-            with border(lambda reason: self.note_damage(f'a chunk is damaged ({reason})')):
-                size = int.from_bytes(fields[b'size'], 'little')
+            with self.noting('a chunk is damaged ({})'):
+                size = _uint(fields[b'size'])
                 chunk = unpack(body, fields[b'compression'].decode(), size)
             if len(chunk) != size:
                 self.note_damage('a chunk is damaged (wrong size)')
@@ -98,14 +92,15 @@ class Ros1File(RecordFile):
 
     def _whole(self, data: bytes | mmap.mmap, start: int) -> Iterator[_Record]:
         """Yield records up to one that is damaged, which is noted."""
-        with border(lambda reason: self.note_damage(
-                f'it is cut off or damaged ({reason}); {_REINDEX}')):
+        with self.noting(f'it is cut off or damaged ({{}}); {_REINDEX}'):
             yield from _records(data, start, len(data))
 
 
-def _records(
-    data: bytes | mmap.mmap, offset: int, end: int,
-) -> Iterator[_Record]:
+def _uint(data: bytes) -> int:
+    return int.from_bytes(data, 'little')
+
+
+def _records(data: bytes | mmap.mmap, offset: int, end: int) -> Iterator[_Record]:
     """Yield operation, header fields and body of each record."""
     while offset < end:
         fields, body, offset = _record(data, offset, end)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack
 import json
@@ -11,13 +12,7 @@ from pathlib import Path
 import sqlite3
 from typing import Any
 
-from trajectory_calibration.sources.channels import (
-    Batch,
-    border,
-    Channel,
-    plain_type,
-    Storage,
-)
+from trajectory_calibration.sources.channels import Batch, Channel, plain_type, Storage
 
 # Few enough rows for the cache; enough messages to make NumPy's overhead vanish.
 _BLOCK, _BATCH = 256, 4096
@@ -68,10 +63,10 @@ class SqliteFile(Storage):
 
     def _counted(self) -> list[Channel]:
         """Return the channels with the numbers of their rows."""
-        counts: dict[int, int] = {}
-        with border(self.note_damage):
-            counts = dict(self._connection.execute(
-                'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id'))
+        counts: Counter[int] = Counter()
+        with self.noting():
+            counts.update(dict(self._connection.execute(
+                'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id')))
             # The index of the times, where there is one, is a second list of all rows.
             ((indexed,),) = self._connection.execute('SELECT COUNT(*) FROM messages')
             missing = indexed - sum(counts.values())
@@ -79,11 +74,10 @@ class SqliteFile(Storage):
                 self.note_damage(f'its table lacks {missing} of the {indexed} rows of its index')
         if self.damage and not counts:
             for ids, _, _ in self._rows(list(self._topics)):
-                for topic_id in ids:
-                    counts[topic_id] = counts.get(topic_id, 0) + 1
+                counts.update(ids)
         if set(counts) - set(self._topics):
             self.note_damage('messages of a topic that is not declared')
-        return [channel._replace(messages=counts.get(key, 0))
+        return [channel._replace(messages=counts[key])
                 for key, channel in self._topics.items()]
 
     def _rows(

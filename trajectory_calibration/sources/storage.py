@@ -42,11 +42,7 @@ class Bag:
 def find_bag(path: Path) -> Bag:
     """Return the files of a bag.
 
-    Raises
-    ------
-    SourceError
-        No such file or folder, or neither a bag nor part of one.
-
+    Raise SourceError for no such file or folder, or neither a bag nor part of one.
     """
     if path.is_dir():
         return _find_folder(path)
@@ -61,15 +57,8 @@ def find_bag(path: Path) -> Bag:
 def unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
     """Return a file of a bag, or where it is compressed its content, and the damage found.
 
-    The content lies in a folder that goes with the ``stack``.
-
-    Raises
-    ------
-    SourceError
-        A pointer of Git LFS, or a package is missing that unpacks the file.
-    ValueError
-        It is empty.
-
+    The content lies in a folder that goes with the ``stack``. Raise SourceError for a pointer of
+    Git LFS, or where a package is missing that unpacks the file; ValueError where it is empty.
     """
     with path.open('rb') as stream:
         beginning = stream.read(64)
@@ -86,11 +75,7 @@ def unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
 def open_storage(path: Path, *, count: bool) -> Storage:
     """Open a file of a bag; ``count`` asks for numbers of messages also where that takes time.
 
-    Raises
-    ------
-    Exception
-        The file is damaged.
-
+    A damaged file raises any exception.
     """
     # Each of them loads where such a file is read.
     if path.suffix == '.mcap':
@@ -185,6 +170,5 @@ def _log_note(path: Path) -> tuple[str, ...]:
     log = path.with_name(f'{path.name}-wal')
     if not log.exists() or not log.stat().st_size:
         return ()
-    note = (f'{log.name} holds messages that were not read; open {path.name} once with sqlite3 to '
-            'merge them')
-    return (note,)
+    return ((f'{log.name} holds messages that were not read; open {path.name} once with sqlite3 '
+             'to merge them'),)

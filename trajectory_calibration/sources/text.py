@@ -104,11 +104,8 @@ class Table:
     ) -> Numbers:
         """Return columns of numbers as ``numbers.read_columns`` does.
 
-        Raises
-        ------
-        SourceError
-            A field is no number, or a line has more fields or fewer; the message names the line.
-
+        Raise SourceError, which names the line, where a field is no number, or a line has more
+        fields or fewer.
         """
         blocks: list[Numbers] = []
         start = row = 0
@@ -170,11 +167,7 @@ def is_bag(path: Path) -> bool:
 def read_bytes(path: Path) -> bytes:
     """Return the content of a text file with plain line ends.
 
-    Raises
-    ------
-    SourceError
-        The file cannot be read, or is no text.
-
+    Raise SourceError where the file cannot be read, or is no text.
     """
     if is_bag(path):
         raise SourceError(f'{path} is a bag or a folder, needed a text file; name two of its '

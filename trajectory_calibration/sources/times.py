@@ -121,13 +121,8 @@ def read_times(
     """Return the times of a file, one a line, which of them are not finite, and notes.
 
     Seconds, or another unit that their size tells, or dates as KITTI writes them; what follows
-    the time in a line is ignored. Blank and comment lines are skipped.
-
-    Raises
-    ------
-    SourceError
-        A line holds no time.
-
+    the time in a line is ignored. Blank and comment lines are skipped. Raise SourceError where a
+    line holds no time.
     """
     data = read_bytes(path)
     lines = [line.strip() for line in data.split(b'\n')

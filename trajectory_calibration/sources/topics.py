@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,12 @@ class TopicTrack:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
+    def only(self, keep: NDArray[np.bool_]) -> TopicTrack:
+        """Return the track with some of its poses."""
+        return replace(
+            self, stamps_ns=self.stamps_ns[keep], received_ns=self.received_ns[keep],
+            poses=self.poses[keep], frame_index=self.frame_index[keep])
+
     def to_trajectory(
         self, sensor_frame: str | None = None, world_frame: str | None = None,
     ) -> Trajectory:
@@ -68,11 +75,7 @@ class TopicTrack:
         The names of the frames are those of the messages unless given; a message without a
         child frame gives the sensor the name of its topic.
 
-        Raises
-        ------
-        SourceError
-            Fewer than two poses are left.
-
+        Raise SourceError where fewer than two poses are left.
         """
         notes = [*(Finding('bag-damaged', text) for text in self.warnings),
                  *(Finding('input-repaired', text) for text in self.notes)]
@@ -166,8 +169,8 @@ class TopicCollector:
         self.count = 0
         self._topic, self._msgtype = topic, msgtype
         self._ros1 = False
-        self._path_message: bytes | None = None
-        self._path_received_ns = 0
+        # A message that holds a Path, and when it was received.
+        self._held: tuple[bytes, int] | None = None
         self._parts: list[TopicTrack] = []
 
     def add(self, batch: Batch) -> None:
@@ -176,57 +179,46 @@ class TopicCollector:
         self._ros1 = batch.channel.encoding == 'ros1'
         received_ns = _stamps(batch.received_ns)
         if self._msgtype == cdr.PATH:
-            for message, stamp_ns in zip(batch.messages, received_ns, strict=True):
-                self._add_path(message, int(stamp_ns))
-        else:
-            self._add_poses(batch.messages, received_ns)
+            for message, stamp_ns in zip(batch.messages, received_ns.tolist(), strict=True):
+                self._add_path(message, stamp_ns)
+            return
+        block = cdr.parse_poses(batch.messages, self._msgtype, ros1=self._ros1)
+        read = block.frame_index >= 0
+        self._parts.append(TopicTrack(
+            self._topic, self._msgtype, len(read), len(read) - np.count_nonzero(read),
+            block.stamps_ns, received_ns, block.poses, block.frame_index, tuple(block.frames),
+        ).only(read))
 
     def track(self) -> TopicTrack:
         """Return everything that was taken."""
-        if self._msgtype != cdr.PATH:
-            return join_tracks(self._topic, self._msgtype, self._parts)
-        last = self._path_track()
-        parts = [*self._parts, last]
-        return join_tracks(self._topic, self._msgtype, parts) if self._parts else last
+        last = [self._path_track()] if self._msgtype == cdr.PATH else []
+        return join_tracks(self._topic, self._msgtype, self._parts + last)
 
     def _add_path(self, message: bytes, received_ns: int) -> None:
         """Keep a path if it replaces the one that is held.
 
         A SLAM publishes its whole optimised path again and again: the last one counts, but for
-        one without a usable pose. Paths grow: only a shorter one is looked into.
+        one without a usable pose. Paths grow: only a shorter one is looked into. The one that is
+        held stays as one of its own where that begins after it.
         """
-        held = self._path_message
-        shorter = held is not None and len(message) < len(held)
-        path = cdr.parse_path(message, ros1=self._ros1) if shorter else None
-        if not shorter or (path is not None and _is_usable(path)):
-            if path is not None:
-                self._set_apart(int(path.stamps_ns.min()))
-            self._path_message, self._path_received_ns = message, received_ns
-
-    def _add_poses(self, messages: list[bytes], received_ns: NDArray[np.int64]) -> None:
-        block = cdr.parse_poses(messages, self._msgtype, ros1=self._ros1)
-        read = block.frame_index >= 0
-        self._parts.append(TopicTrack(
-            self._topic, self._msgtype, len(messages), len(messages) - np.count_nonzero(read),
-            block.stamps_ns[read], received_ns[read], block.poses[read],
-            block.frame_index[read], tuple(block.frames)))
-
-    def _set_apart(self, start_ns: int) -> None:
-        """Keep the path that is held as one of its own where the next one begins after it."""
-        held = self._path_track()
-        if len(held.poses) and held.stamps_ns.max() < start_ns:
-            self._parts.append(replace(held, messages=0))
+        if self._held is not None and len(message) < len(self._held[0]):
+            path = cdr.parse_path(message, ros1=self._ros1)
+            if path is None or not _is_usable(path):
+                return
+            held = self._path_track()
+            if len(held.poses) and held.stamps_ns.max() < path.stamps_ns.min():
+                self._parts.append(replace(held, messages=0))
+        self._held = message, received_ns
 
     def _path_track(self) -> TopicTrack:
-        path = None if self._path_message is None else cdr.parse_path(
-            self._path_message, ros1=self._ros1)
-        if path is None:
+        path = None if self._held is None else cdr.parse_path(self._held[0], ros1=self._ros1)
+        if self._held is None or path is None:
             return TopicTrack(self._topic, self._msgtype, self.count, min(self.count, 1))
         count = len(path.poses)
-        received_ns = np.full(count, self._path_received_ns)
         return TopicTrack(
-            self._topic, self._msgtype, self.count, 0, path.stamps_ns, received_ns, path.poses,
-            np.zeros(count, dtype=np.intp), ((path.frame, ''),))
+            self._topic, self._msgtype, self.count, 0, path.stamps_ns,
+            np.full(count, self._held[1]), path.poses, np.zeros(count, dtype=np.intp),
+            ((path.frame, ''),))
 
 
 class TransformCollector:
@@ -278,11 +270,8 @@ def transform_track(
 ) -> TopicTrack:
     """Return the poses that ``tf:PARENT.CHILD`` names.
 
-    Raises
-    ------
-    TopicError
-        The two frames are not connected, or do not move in relation to each other.
-
+    Raise TopicError where the two frames are not connected, or do not move in relation to each
+    other.
     """
     parent, child = parse_tf(name, tree.frames)
     notes: list[str] = []
@@ -296,10 +285,7 @@ def transform_track(
 
 def _stamps(received_ns: list[int]) -> NDArray[np.int64]:
     """Return times as an array; bags count in unsigned numbers, a damaged one may hold any."""
-    try:
-        return np.array(received_ns, dtype=np.int64)
-    except OverflowError:
-        return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
+    return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
 
 
 def _is_usable(path: cdr.PathPoses) -> bool:
@@ -314,20 +300,17 @@ def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicT
     if msgtype == cdr.PATH:
         notes += _dropped_note(filled)
         filled = filled[-1:]
-    messages, unreadable = (sum(part.messages for part in parts),
-                            sum(part.unreadable for part in parts))
-    if not filled:
-        return TopicTrack(topic, msgtype, messages, unreadable, notes=tuple(notes))
     frames = tuple(dict.fromkeys(pair for part in filled for pair in part.frames))
-    return TopicTrack(
-        topic, msgtype, messages, unreadable,
-        np.concatenate([part.stamps_ns for part in filled]),
-        np.concatenate([part.received_ns for part in filled]),
-        np.concatenate([part.poses for part in filled]),
-        np.concatenate([
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in filled])
+        for name in ('stamps_ns', 'received_ns', 'poses') if filled}
+    if filled:
+        columns['frame_index'] = np.concatenate([
             np.array([frames.index(pair) for pair in part.frames])[part.frame_index]
-            for part in filled]),
-        frames, notes=tuple(notes))
+            for part in filled])
+    return TopicTrack(
+        topic, msgtype, sum(part.messages for part in parts),
+        sum(part.unreadable for part in parts), frames=frames, notes=tuple(notes), **columns)
 
 
 def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:

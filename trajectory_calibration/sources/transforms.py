@@ -72,12 +72,12 @@ class TransformTree:
 
         One frame stands for all that are fixed to it.
         """
-        moving = [edge for edge in self.edges if not edge.static and len(edge.samples[0]) > 1
-                  and edge.changes]
+        moving = [edge for edge in self.edges if not edge.static and edge.count_changes()]
         found = []
         for parent in dict.fromkeys(edge.parent for edge in moving):
+            paths = self._paths(parent)
             for child in dict.fromkeys(edge.child for edge in moving):
-                path = self._path(parent, child)
+                path = paths.get(child)
                 if path and all(link.downwards for link in path):
                     found.append((parent, child))
         return found
@@ -85,11 +85,8 @@ class TransformTree:
     def chain(self, parent: str, child: str) -> list[Link]:
         """Return the links that lead from one frame to another.
 
-        Raises
-        ------
-        TopicError
-            A frame is not known, the two are not connected, or there are two ways between them.
-
+        Raise TopicError where a frame is not known, the two are not connected, or there are two
+        ways between them.
         """
         names = self.frames
         for name in (parent, child):
@@ -98,20 +95,19 @@ class TransformTree:
                                  f'{", ".join(sorted(names)) or "none"}')
         if parent == child:
             raise TopicError(f'{parent} and {child} are one frame; name two')
-        path = self._path(parent, child)
+        path = self._paths(parent).get(child)
         if path is None:
             trees = ' and '.join(
-                f'{name} with {", ".join(sorted(self._connected(name) - {name}))}'
+                f'{name} with {", ".join(sorted(self._paths(name).keys() - {name}))}'
                 for name in (parent, child))
             raise TopicError(
                 f'no transform connects {parent} and {child}: there are separate trees, of '
                 f'{trees}; record the topic that publishes the transform between them')
         for link in path:
-            if self._path(parent, child, without=link.edge) is not None:
-                parents = self._with_two_parents()
+            if child in self._paths(parent, without=link.edge):
                 raise TopicError(
-                    f'there are two ways from {parent} to {child}: {parents}; name a pair of '
-                    'frames between which there is one')
+                    f'there are two ways from {parent} to {child}: {self._with_two_parents()}; '
+                    'name a pair of frames between which there is one')
         return path
 
     def compose(
@@ -119,13 +115,8 @@ class TransformTree:
     ) -> tuple[NDArray[np.int64], FloatArray]:
         """Return (N,) stamps and the (N, 4, 4) poses of ``child`` in ``parent``.
 
-        What was left out is added to ``notes``.
-
-        Raises
-        ------
-        TopicError
-            See ``chain``; or nothing moves between the two frames.
-
+        What was left out is added to ``notes``. Raise TopicError as ``chain`` does, and where
+        nothing moves between the two frames.
         """
         links = self.chain(parent, child)
         return _compose(links, stamp_edge(links), [] if notes is None else notes)
@@ -137,29 +128,19 @@ class TransformTree:
             edge = self._edges[key] = Edge(*key, static)
         return edge
 
-    def _neighbours(self, name: str, without: Edge | None) -> Iterable[tuple[str, Link]]:
-        for edge in self.edges:
-            if edge is without:
-                continue
-            if edge.parent == name:
-                yield edge.child, Link(edge, downwards=True)
-            elif edge.child == name:
-                yield edge.parent, Link(edge, downwards=False)
-
-    def _path(self, start: str, end: str, without: Edge | None = None) -> list[Link] | None:
-        """Return the shortest way between two frames."""
+    def _paths(self, start: str, without: Edge | None = None) -> dict[str, list[Link]]:
+        """Return the shortest ways from a frame to all that it is connected with."""
         reached: dict[str, list[Link]] = {start: []}
         waiting = deque([start])
         while waiting:
             name = waiting.popleft()
-            for other, link in self._neighbours(name, without):
-                if other not in reached:
-                    reached[other] = [*reached[name], link]
+            for edge in self.edges:
+                other = edge.child if edge.parent == name else edge.parent
+                if edge is not without and name in (edge.parent, edge.child) and (
+                        other not in reached):
+                    reached[other] = [*reached[name], Link(edge, edge.parent == name)]
                     waiting.append(other)
-        return reached.get(end)
-
-    def _connected(self, name: str) -> set[str]:
-        return {other for other in self.frames if self._path(name, other) is not None}
+        return reached
 
     def _with_two_parents(self) -> str:
         parents: dict[str, list[str]] = {}
@@ -196,7 +177,7 @@ class ChainFollower:
             if self._stamps_of is None:
                 edge = stamp_edge(links)
                 # Until then it may be another one that changes most often.
-                if edge.changes < 5:
+                if edge.count_changes() < 5:
                     self.waiting_for = f'{edge} has hardly moved yet'
                     return nothing
                 self._stamps_of = edge
@@ -223,22 +204,14 @@ def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
     """Return the two frames of ``tf:PARENT.CHILD``.
 
     A name of a frame may hold dots itself: then the frames that exist tell where to part it.
-
-    Raises
-    ------
-    ConfigError
-        No two names, or several ways to part them.
-
+    Raise ConfigError for less than two names, or several ways to part them.
     """
-    text = name.removeprefix('/').removeprefix(TF_PREFIX)
-    known = set(frames)
-    words = text.split('.')
+    words = name.removeprefix('/').removeprefix(TF_PREFIX).split('.')
     ways = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
             for k in range(1, len(words))]
     ways = [way for way in ways if all(way)]
-    fitting = [way for way in ways if set(way) <= known]
-    if len(ways) > 1 and fitting:
-        ways = fitting
+    if len(ways) > 1:
+        ways = [way for way in ways if {*way} <= {*frames}] or ways
     if len(ways) != 1:
         raise ConfigError(f'{name!r} does not name two frames; needed tf:PARENT.CHILD, for '
                           'instance tf:map.base_link')
@@ -248,23 +221,16 @@ def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
 def stamp_edge(links: Sequence[Link]) -> Edge:
     """Return the edge of a chain whose stamps the poses get: the one that changes most often.
 
-    Raises
-    ------
-    TopicError
-        Nothing moves between the two frames.
-
+    Raise TopicError where nothing moves between the two frames.
     """
-    for link in links:
-        # Counts the changes of what waits.
-        _ = link.edge.samples
-    moving = [link.edge for link in links if not link.edge.static and link.edge.changes]
-    if not moving:
+    changes = {link.edge: link.edge.count_changes() for link in links if not link.edge.static}
+    most = max(changes.values(), default=0)
+    if not most:
         chain = ', '.join(str(link.edge) for link in links)
         raise TopicError(f'nothing moves between these frames: {chain} never changed; name a pair '
                          'of frames that move in relation to each other')
     # Of several that change about as often, the one next to the child.
-    most = max(edge.changes for edge in moving)
-    return [edge for edge in moving if edge.changes >= 0.8 * most][-1]
+    return [edge for edge, count in changes.items() if count >= 0.8 * most][-1]
 
 
 def _compose(
