@@ -120,7 +120,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
         if result.frame_a != result.frame_b:
             from trajectory_calibration.outputs.exports import write_exports
-            write_exports(result, folder)
+            write_exports(Placement.of(result), folder)
     except OSError as error:
         raise ResultError(
             f'{folder} cannot be written: {error.strerror or error}; give another --output'

@@ -68,8 +68,6 @@ def run(arguments: argparse.Namespace) -> int:
               'prior; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.OPEN
     if arguments.output is None:
-        if exporter.is_binary:
-            raise ConfigError(f'{arguments.format} is binary; give a file with --output')
         print(exporter.write(item), end='')
     else:
         _write(arguments.output, exporter.encode(item), force=arguments.force)

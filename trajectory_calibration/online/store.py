@@ -18,6 +18,7 @@ from trajectory_calibration.errors import (
     ResultError,
 )
 from trajectory_calibration.outputs.exports import write_exports
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
 
 # Bytes of a file that is read. A result has a few thousand; one with half of 1,000,000 motions
@@ -98,7 +99,7 @@ class ResultStore:
 
         """
         folder = path.with_suffix('')
-        write_exports(result, folder)
+        write_exports(Placement.of(result), folder)
         return folder
 
     def latest(self) -> tuple[Path, CalibrationResult] | None:

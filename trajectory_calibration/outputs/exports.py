@@ -27,7 +27,6 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.screen import deviation_words
-from trajectory_calibration.result import CalibrationResult
 
 
 @dataclass(frozen=True)
@@ -38,112 +37,81 @@ class Exporter:
     ----------
     sentence : what it holds and which way it points.
     extension : of a file that holds it, without the dot.
-    text : function of a ``Placement`` that returns the text; None for a binary format.
-    data : function of a ``Placement`` that returns the bytes of a binary format.
+    contents : function of a ``Placement`` that returns what is written.
     stem : of the file's name in a folder of exports.
+    is_binary : whether it cannot be printed.
 
     """
 
     sentence: str
     extension: str
-    text: Callable[[Placement], str] | None
-    data: Callable[[Placement], bytes] | None = None
+    contents: Callable[[Placement], str | bytes]
     stem: str = 'extrinsic'
+    is_binary: bool = False
 
     @property
     def file_name(self) -> str:
         """Return the name of a file among those of the other formats."""
         return f'{self.stem}.{self.extension}'
 
-    @property
-    def is_binary(self) -> bool:
-        """Tell whether the format cannot be printed."""
-        return self.text is None
+    def write(self, item: Placement) -> str:
+        """Return the text; raises ConfigError for a binary format, and as ``encode``."""
+        if self.is_binary:
+            raise ConfigError(f'{self.extension} is binary; give a file with --output')
+        return self.encode(item).decode()
 
-    def write(self, item: CalibrationResult | Placement) -> str:
-        """Return the text of a result, or of a placement made from one.
+    def encode(self, item: Placement) -> bytes:
+        """Return the contents of a file.
 
-        Raises
-        ------
-        ConfigError
-            A binary format, two frames of one name, or a name that the format cannot hold.
-
+        Raises ConfigError for two frames of one name, or a name that the format cannot hold.
         """
-        if self.text is None:
-            raise ConfigError(f'.{self.extension} is binary; give a file with --output')
-        return self.text(_placement(item))
-
-    def encode(self, item: CalibrationResult | Placement) -> bytes:
-        """Return the contents of a file; raises as ``write``, but takes binary formats."""
-        if self.data is not None:
-            return self.data(_placement(item))
-        return self.write(item).encode()
+        contents = self.contents(item.require_two_frames())
+        return contents if isinstance(contents, bytes) else contents.encode()
 
 
-def _placement(item: CalibrationResult | Placement) -> Placement:
-    placement = item if isinstance(item, Placement) else Placement.of(item)
-    return placement.require_two_frames()
-
-
-def _numbers(values: FloatArray, separator: str = ' ') -> str:
-    return separator.join(map(number, values))
-
-
-def _translation(item: Placement) -> FloatArray:
-    return item.T_parent_child[:3, 3]
-
-
-def _quaternion(item: Placement) -> FloatArray:
-    return se3.rotation_to_quaternion(item.T_parent_child[:3, :3])
-
-
-def _rpy(item: Placement) -> FloatArray:
-    return se3.roll_pitch_yaw(item.T_parent_child[:3, :3])
+def _texts(item: Placement) -> tuple[list[str], list[str], list[str]]:
+    """Return x, y, z; qx, qy, qz, qw; roll, pitch, yaw."""
+    t, R = item.T_parent_child[:3, 3], item.T_parent_child[:3, :3]
+    return (list(map(number, t)), list(map(number, se3.rotation_to_quaternion(R))),
+            list(map(number, se3.roll_pitch_yaw(R))))
 
 
 def _pose(item: Placement) -> str:
     return f'pose of {item.child} in {item.parent}: p_{item.parent} = T p_{item.child}'
 
 
-def _comments(item: Placement, *more: str) -> list[str]:
-    """Return what a reader must know, worst first."""
-    lines = []
+def _comments(item: Placement, *more: str, indent: str = '', xml: bool = False) -> str:
+    """Return what a reader must know, worst first: the pose, or ``more`` in its place."""
+    lines = [*(more or [_pose(item)])]
     if item.unobserved:
-        lines.append(f'UNOBSERVED: {", ".join(item.unobserved)}. These numbers are arbitrary '
+        lines.insert(0, f'UNOBSERVED: {", ".join(item.unobserved)}. These numbers are arbitrary '
                      'along it: measure it, or drive a ramp, before you use them.')
-    lines += more
     if item.covariance is not None:
         words = deviation_words(item.covariance)
         lines.append(f'standard deviations along and about x, y, z of {item.parent}: '
                      f'{", ".join(words[:3])} m, {", ".join(words[3:])} deg')
-    return [*lines, item.origin] if item.origin else lines
-
-
-def _hash(lines: list[str], indent: str = '') -> str:
     # A line break in the name of a frame must not end the comment.
-    return ''.join(f'{indent}# {" ".join(line.split())}\n' for line in lines)
-
-
-def _xml_comment(lines: list[str], indent: str = '') -> str:
-    # Two hyphens would end the comment.
-    return ''.join(
-        f'{indent}<!-- {re.sub("-(?=-|$)", "- ", " ".join(line.split()))} -->\n'
-        for line in lines)
+    lines = [' '.join(line.split()) for line in (*lines, item.origin) if line]
+    if xml:
+        # Nor must two hyphens.
+        lines = [f'<!-- {re.sub("-(?=-|$)", "- ", line)} -->' for line in lines]
+    return ''.join(f'{indent}{line}\n' if xml else f'{indent}# {line}\n' for line in lines)
 
 
 def _joint(item: Placement, parent: str, child: str, name: str) -> str:
+    xyz, _, rpy = _texts(item)
     return (f'<joint name={quoteattr(name)} type="fixed">\n'
-            f'  <origin xyz="{_numbers(_translation(item))}" rpy="{_numbers(_rpy(item))}"/>\n'
+            f'  <origin xyz="{" ".join(xyz)}" rpy="{" ".join(rpy)}"/>\n'
             f'  <parent link={quoteattr(parent)}/>\n'
             f'  <child link={quoteattr(child)}/>\n'
             '</joint>\n')
 
 
 def _urdf(item: Placement) -> str:
-    name = f'{item.parent}_to_{item.child}'
-    return (_xml_comment(_comments(
-        item, f'Paste into <robot>; leave out the link where {item.child} has one', _pose(item)))
-        + _joint(item, item.parent, item.child, name)
+    return (_comments(
+        item, f'Paste into <robot>; leave out the link where {item.child} has one', _pose(item),
+        xml=True)
+        + _joint(item, item.parent, item.child, f'{item.parent}_to_{item.child}')
         + f'<link name={quoteattr(item.child)}/>\n')
 
 
@@ -159,34 +127,33 @@ def _xacro(item: Placement) -> str:
                 'use urdf')
     defaults = quoteattr(f'parent:={item.parent} child:={item.child}')
     return ('<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
-            + _xml_comment(_comments(
-                item, f'Include this file, then call <xacro:{macro}/> in the robot',
-                _pose(item)), '  ')
+            + _comments(item, f'Include this file, then call <xacro:{macro}/> in the robot',
+                        _pose(item), indent='  ', xml=True)
             + f'  <xacro:macro name="{macro}" params={defaults}>\n{body}'
             '    <link name="${child}"/>\n  </xacro:macro>\n</robot>\n')
 
 
-def publisher_arguments(item: Placement) -> list[str]:
-    """Return the arguments of ``static_transform_publisher``."""
-    values = zip(('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw'),
-                 (*_translation(item), *_quaternion(item)), strict=True)
-    arguments = [text for name, value in values for text in (f'--{name}', number(value))]
-    return [*arguments, '--frame-id', item.parent, '--child-frame-id', item.child]
+def _publisher_arguments(item: Placement) -> list[tuple[str, str]]:
+    """Return the arguments of ``static_transform_publisher``, by name."""
+    xyz, quaternion, _ = _texts(item)
+    names = ('--x', '--y', '--z', '--qx', '--qy', '--qz', '--qw')
+    return [*zip(names, xyz + quaternion, strict=True),
+            ('--frame-id', item.parent), ('--child-frame-id', item.child)]
 
 
 def _static_tf(item: Placement) -> str:
-    return _hash(_comments(item, _pose(item))) + shlex.join([
-        'ros2', 'run', 'tf2_ros', 'static_transform_publisher', *publisher_arguments(item)]) + '\n'
+    return _comments(item) + shlex.join([
+        'ros2', 'run', 'tf2_ros', 'static_transform_publisher',
+        *(word for pair in _publisher_arguments(item) for word in pair)]) + '\n'
 
 
 def launch_file(items: Sequence[Placement]) -> str:
     """Return a launch file that publishes the transforms."""
     nodes = ''
     for item in items:
-        arguments = publisher_arguments(item)
-        rows = ''.join(f'                {name!r}, {value!r},\n' for name, value in zip(
-            arguments[::2], arguments[1::2], strict=True))
-        nodes += _hash(_comments(item, _pose(item)), '        ') + (
+        rows = ''.join(f'                {name!r}, {value!r},\n'
+                       for name, value in _publisher_arguments(item))
+        nodes += _comments(item, indent='        ') + (
             "        Node(\n            package='tf2_ros', "
             f"executable='static_transform_publisher',\n            arguments=[\n{rows}"
             '            ]),\n')
@@ -195,11 +162,11 @@ def launch_file(items: Sequence[Placement]) -> str:
 
 
 def _rows(matrix: FloatArray, separator: str, start: str = '', end: str = '') -> str:
-    return ''.join(f'{start}{_numbers(row, separator)}{end}\n' for row in matrix)
+    return ''.join(f'{start}{separator.join(map(number, row))}{end}\n' for row in matrix)
 
 
 def _matrix(item: Placement) -> str:
-    return _hash(_comments(item, _pose(item))) + _rows(item.T_parent_child, ' ')
+    return _comments(item) + _rows(item.T_parent_child, ' ')
 
 
 def _npy(item: Placement) -> bytes:
@@ -209,12 +176,13 @@ def _npy(item: Placement) -> bytes:
 
 
 def _json(item: Placement) -> str:
+    xyz, quaternion, rpy = (list(map(float, texts)) for texts in _texts(item))
     return json.dumps({
         'parent': item.parent,
         'child': item.child,
-        'translation_m': _translation(item).tolist(),
-        'rotation_xyzw': _quaternion(item).tolist(),
-        'rotation_rpy_rad': _rpy(item).tolist(),
+        'translation_m': xyz,
+        'rotation_xyzw': quaternion,
+        'rotation_rpy_rad': rpy,
         'T_parent_child': item.T_parent_child.tolist(),
         'covariance_m_rad': None if item.covariance is None else item.covariance.tolist(),
         'unobserved': list(item.unobserved),
@@ -223,19 +191,19 @@ def _json(item: Placement) -> str:
 
 
 def _yaml(item: Placement) -> str:
+    xyz, quaternion, rpy = (', '.join(texts) for texts in _texts(item))
     return (
-        _hash(_comments(item, _pose(item)))
+        _comments(item)
         + f'parent: {quoted(item.parent)}\nchild: {quoted(item.child)}\n'
-        f'translation_m: [{_numbers(_translation(item), ", ")}]\n'
-        f'rotation_xyzw: [{_numbers(_quaternion(item), ", ")}]\n'
-        f'rotation_rpy_rad: [{_numbers(_rpy(item), ", ")}]\n'
+        f'translation_m: [{xyz}]\nrotation_xyzw: [{quaternion}]\nrotation_rpy_rad: [{rpy}]\n'
         f'T_parent_child:\n{_rows(item.T_parent_child, ", ", "- [", "]")}'
         f'unobserved: [{", ".join(map(quoted, item.unobserved))}]\n')
 
 
 def _tum(item: Placement) -> str:
-    return (_hash(_comments(item, _pose(item), 'stamp tx ty tz qx qy qz qw'))
-            + f'0 {_numbers(_translation(item))} {_numbers(_quaternion(item))}\n')
+    xyz, quaternion, _ = _texts(item)
+    return (_comments(item, _pose(item), 'stamp tx ty tz qx qy qz qw')
+            + f'{" ".join(["0", *xyz, *quaternion])}\n')
 
 
 def sensor_kit(items: Iterable[Placement]) -> str:
@@ -245,10 +213,10 @@ def sensor_kit(items: Iterable[Placement]) -> str:
         if item.parent != parent:
             parent = item.parent
             lines += f'{quoted(parent)}:\n'
-        values = zip(('x', 'y', 'z', 'roll', 'pitch', 'yaw'),
-                     (*_translation(item), *_rpy(item)), strict=True)
-        lines += _hash(_comments(item, _pose(item)), '  ') + f'  {quoted(item.child)}:\n'
-        lines += ''.join(f'    {name}: {number(value)}\n' for name, value in values)
+        xyz, _, rpy = _texts(item)
+        lines += _comments(item, indent='  ') + f'  {quoted(item.child)}:\n'
+        lines += ''.join(f'    {name}: {text}\n' for name, text in zip(
+            ('x', 'y', 'z', 'roll', 'pitch', 'yaw'), xyz + rpy, strict=True))
     return lines
 
 
@@ -257,7 +225,7 @@ def _kalibr(item: Placement) -> str:
         item, f'cam0 is {item.parent}, cam1 is {item.child}; add their intrinsics',
         f'T_cn_cnm1 maps points of {item.parent} to {item.child}: the inverse of the pose of '
         f'{item.child} in {item.parent}')
-    return (_hash(comments) + 'cam1:\n  T_cn_cnm1:\n'
+    return (comments + 'cam1:\n  T_cn_cnm1:\n'
             + _rows(se3.inverse(item.T_parent_child), ', ', '  - [', ']'))
 
 
@@ -278,8 +246,8 @@ EXPORTS: dict[str, Exporter] = {
         '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'txt',
         _matrix, stem='matrix'),
     'npy': Exporter(
-        '4 x 4 NumPy array, the pose of the child in the parent', 'npy',
-        None, _npy, stem='matrix'),
+        '4 x 4 NumPy array, the pose of the child in the parent', 'npy', _npy, stem='matrix',
+        is_binary=True),
     'json': Exporter('the pose of the child in the parent with its covariance', 'json', _json),
     'yaml': Exporter('the pose of the child in the parent, for YAML 1.1 and 1.2', 'yaml', _yaml),
     'tum': Exporter('one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'tum',
@@ -293,23 +261,17 @@ EXPORTS: dict[str, Exporter] = {
 }
 
 
-def write_exports(item: CalibrationResult | Placement, folder: Path) -> list[Path]:
+def write_exports(item: Placement, folder: Path) -> list[Path]:
     """Write every format into a folder, which is made, over what is there; return the files.
 
-    Raises
-    ------
-    ConfigError
-        Both frames have one name.
-    ResultError
-        The folder or a file cannot be written.
-
+    Raises ConfigError where both frames have one name, ResultError where nothing can be written.
     """
-    placement = _placement(item)
+    item.require_two_frames()
     contents = {}
     for exporter in EXPORTS.values():
         # The other formats may well hold a name that this one cannot.
         with suppress(ConfigError):
-            contents[exporter.file_name] = exporter.encode(placement)
+            contents[exporter.file_name] = exporter.encode(item)
     return write_files(folder, contents)
 
 
