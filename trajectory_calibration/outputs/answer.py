@@ -29,6 +29,9 @@ from trajectory_calibration.result import CalibrationResult
 WORDS = {UNOBSERVED: 'unknown', WEAK: 'weak', PRIOR: 'prior', OBSERVED: 'ok'}
 _WORST_FIRST = tuple(WORDS)
 
+# From metres and radians, in the order of a covariance.
+TO_DEGREES = np.repeat([1.0, 180 / np.pi], 3)
+
 NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
 
 # A pitch this near to 90 degrees (cosine): roll and yaw turn about the same axis.
@@ -103,10 +106,8 @@ class Row:
         least = 3 if self.unit == 'm' else 2
         if self.std is None or not self.std > 0:
             return least + 1
-        decimals = least
-        while decimals < least + 3 and self.std < 10.0 ** (1 - decimals) * 0.995:
-            decimals += 1
-        return decimals
+        return next((digits for digits in range(least, least + 3)
+                     if self.std >= 10.0 ** (1 - digits) * 0.995), least + 3)
 
     def __str__(self) -> str:
         """Return '0.209 +- 0.063', or 'unknown'."""
@@ -125,44 +126,37 @@ def pose_rows(
     T: FloatArray, covariance: FloatArray | None, status: Mapping[str, str],
     config: CalibrationConfig, T_true: FloatArray | None = None,
 ) -> tuple[Row, ...]:
-    """Return the six rows of a pose.
+    """Return the six rows of a (4, 4) pose; ``T_true`` (4, 4) fills their errors.
 
-    Parameters
-    ----------
-    T : (4, 4)
-        Metres.
-    covariance : (6, 6) or None
-        Order and side as in ``CalibrationResult``.
-    status : mapping
-        Of each degree of freedom of the covariance.
-    config : CalibrationConfig
-        Its limits of weak and unobserved.
-    T_true : (4, 4), optional
-        Fills the errors.
-
+    Of the (6, 6) covariance, order and side as in ``CalibrationResult``, ``status`` names each
+    degree of freedom; ``config`` has the limits of weak and unobserved.
     """
     values = np.concatenate([T[:3, 3], np.rad2deg(se3.roll_pitch_yaw(T[:3, :3]))])
-    to_angles = angle_jacobian(T[:3, :3])
-    std = None if covariance is None else _deviations(covariance, to_angles)
+    # Of the rows, to first order, by the steps of a covariance.
+    to_rows = np.eye(6)
+    to_rows[3:, 3:] = angle_jacobian(T[:3, :3])
+    std = errors = np.full(6, np.nan)
+    if covariance is not None:
+        std = TO_DEGREES * np.sqrt(np.maximum(
+            np.einsum('ij,jk,ik->i', to_rows, covariance, to_rows), 0.0))
+    if T_true is not None:
+        errors = TO_DEGREES * (to_rows @ se3.step_between(T_true, T))
     statuses = [status[name] for name in DEGREES_OF_FREEDOM[:3]]
-    statuses += _angle_statuses(covariance, status, to_angles)
-    errors = None if T_true is None else _errors(T, T_true, to_angles)
+    statuses += _angle_statuses(covariance, status, to_rows[3:, 3:])
     limits = (
         (config.weak_translation, config.unobserved_translation),
         (config.weak_rotation, config.unobserved_rotation))
     return tuple(
-        Row(name, float(values[k]) + 0.0, None if std is None else float(std[k]),
+        Row(name, float(values[k]) + 0.0, None if covariance is None else float(std[k]),
             'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
-            None if errors is None else float(errors[k]))
+            None if T_true is None else float(errors[k]))
         for k, name in enumerate(NAMES))
 
 
 def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
     """Return how far a (4, 4) pose is from the truth, without what is unknown of it."""
-    step = se3.step_between(T_true, T)
     unknown = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
-    step[unknown] = 0.0
-    step[3:] = np.rad2deg(step[3:])
+    step = np.where(unknown, 0.0, TO_DEGREES * se3.step_between(T_true, T))
     words = ', '.join(
         'unknown' if unknown[part].all() else f'{np.linalg.norm(step[part]):.{digits}f} {unit}'
         for part, digits, unit in ((slice(0, 3), 4, 'm'), (slice(3, 6), 3, 'deg')))
@@ -177,21 +171,14 @@ def worst_status(rows: tuple[Row, ...]) -> str:
 
 def status_sentence(rows: tuple[Row, ...]) -> str:
     """Return which numbers are good and which are not: 'rotation ok; x, y weak; z unknown'."""
-    by_word: dict[str, list[str]] = {}
-    for row in rows:
-        by_word.setdefault(row.word, []).append(row.name)
-    if set(by_word) == {'ok'}:
-        return 'all six numbers ok'
-    order = ('ok', 'prior', 'weak', 'unknown')
-    return '; '.join(
-        f'{_grouped(by_word[word])} {word}' for word in order if word in by_word)
-
-
-def _grouped(names: list[str]) -> str:
-    text = ', '.join(names)
-    for group, name in ((NAMES, 'all six'), (NAMES[:3], 'translation'), (NAMES[3:], 'rotation')):
-        text = text.replace(', '.join(group), name)
-    return text
+    found = []
+    for word in ('ok', 'prior', 'weak', 'unknown'):
+        names = ', '.join(row.name for row in rows if row.word == word)
+        for group, name in ((NAMES, 'all six numbers' if word == 'ok' else 'all six'),
+                            (NAMES[:3], 'translation'), (NAMES[3:], 'rotation')):
+            names = names.replace(', '.join(group), name)
+        found += [f'{names} {word}'] if names else []
+    return '; '.join(found)
 
 
 def fixed(value: float, digits: int) -> str:
@@ -210,38 +197,16 @@ def angle_jacobian(R: FloatArray) -> FloatArray:
     return np.linalg.inv(columns)
 
 
-def _deviations(covariance: FloatArray, to_angles: FloatArray) -> FloatArray:
-    """Return (6,) standard deviations of x, y, z, roll, pitch, yaw: metres, degrees."""
-    variance = np.concatenate([
-        np.diagonal(covariance)[:3],
-        np.einsum('ij,jk,ik->i', to_angles, covariance[3:, 3:], to_angles)])
-    std: FloatArray = np.sqrt(np.maximum(variance, 0.0))
-    std[3:] = np.rad2deg(std[3:])
-    return std
-
-
 def _angle_statuses(
     covariance: FloatArray | None, status: Mapping[str, str], to_angles: FloatArray,
 ) -> list[str]:
     """Return the status of roll, pitch, yaw: the worst of the axes that they come from."""
-    by_axis = [status[name] for name in DEGREES_OF_FREEDOM[3:]]
-    share = to_angles**2
-    if covariance is not None:
-        share = share * np.maximum(np.diagonal(covariance)[3:], 1e-30)
+    by_axis = np.array([status[name] for name in DEGREES_OF_FREEDOM[3:]])
+    variance = 1.0 if covariance is None else np.maximum(np.diagonal(covariance)[3:], 1e-30)
+    share = to_angles**2 * variance
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
     counts = share > _MAIN_SHARE
     # Every axis counts somewhere: an open one must be seen.
     counts[np.abs(to_angles).argmax(axis=0), np.arange(3)] = True
-    return [
-        min((by_axis[axis] for axis in np.flatnonzero(row)), key=_WORST_FIRST.index,
-            default=OBSERVED)
-        for row in counts]
-
-
-def _errors(
-    T_a_b: FloatArray, T_a_b_true: FloatArray, to_angles: FloatArray,
-) -> FloatArray:
-    """Return (6,) metres, and degrees of roll, pitch, yaw, to first order."""
-    step = se3.step_between(T_a_b_true, T_a_b)
-    errors: FloatArray = np.concatenate([step[:3], np.rad2deg(to_angles @ step[3:])])
-    return errors
+    return [min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED)
+            for row in counts]

@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from trajectory_calibration.assessment.observability import OBSERVED, PRIOR, UNOBSERVED, WEAK
+from trajectory_calibration.assessment.observability import UNOBSERVED, WEAK
 from trajectory_calibration.outputs.answer import answer_rows, Row, status_sentence, worst_status
 from trajectory_calibration.result import CalibrationResult
 
@@ -17,32 +17,16 @@ TITLES = {GOOD: 'Usable', CARE: 'Usable with care', OPEN: 'Incomplete', FAILED: 
 SERIOUS = 'serious'
 
 
-@dataclass(frozen=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The judgement of a result.
 
-    Attributes
-    ----------
-    level : 'good', 'care', 'open' (a direction is unknown) or 'failed'.
-    sentence : what is good and what is not.
-    next_step : what to do now.
-
+    ``level`` is 'good', 'care', 'open' (a direction is unknown) or 'failed'; ``sentence`` says
+    what is good and what is not, ``next_step`` what to do now.
     """
 
     level: str
     sentence: str
     next_step: str
-
-    @property
-    def opening(self) -> str:
-        """Return the sentence with a capital, unless it begins with the name of an axis."""
-        word = self.sentence.partition(' ')[0].strip(',')
-        return self.sentence if len(word) == 1 else word.capitalize() + self.sentence[len(word):]
-
-    @property
-    def title(self) -> str:
-        """Return the level in words."""
-        return TITLES[self.level]
 
 
 def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Verdict:
@@ -50,7 +34,12 @@ def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Ver
     rows = rows or answer_rows(result)
     worst = worst_status(rows)
     sentence = status_sentence(rows)
-    serious = serious_texts(result)
+    # The name of an axis has no capital.
+    if sentence[1] not in ', ':
+        sentence = sentence[0].upper() + sentence[1:]
+    # Those of directions have a mark of their own.
+    serious = [found.text for found in result.findings
+               if found.level == SERIOUS and not found.code.startswith('direction-')]
     if worst == UNOBSERVED:
         return Verdict(OPEN, sentence, _advice(result, 'direction-unobserved'))
     if serious:
@@ -58,18 +47,8 @@ def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Ver
     if worst == WEAK:
         return Verdict(CARE, sentence, _advice(result, 'direction-weak'))
     return Verdict(
-        GOOD if worst in (OBSERVED, PRIOR) else CARE, sentence,
-        'Copy the transform below. Check it on another drive: trajectory_calibration verify '
-        'result.yaml A B')
-
-
-def serious_texts(result: CalibrationResult) -> list[str]:
-    """Return the texts of the findings that may make the answer wrong.
-
-    Without those of its directions, which have a mark of their own.
-    """
-    return [found.text for found in result.findings
-            if found.level == SERIOUS and not found.code.startswith('direction-')]
+        GOOD, sentence, 'Copy the transform below. Check it on another drive: '
+        'trajectory_calibration verify result.yaml A B')
 
 
 def _advice(result: CalibrationResult, code: str) -> str:

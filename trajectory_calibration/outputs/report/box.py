@@ -12,7 +12,7 @@ from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.outputs.answer import Row
 from trajectory_calibration.outputs.report.text import next_step, verdict_section
 from trajectory_calibration.outputs.screen import details
-from trajectory_calibration.outputs.verdict import Verdict
+from trajectory_calibration.outputs.verdict import TITLES, Verdict
 from trajectory_calibration.result import CalibrationResult
 
 MARKS = {'ok': '●', 'weak': '◐', 'unknown': '○', 'prior': '◆'}
@@ -45,7 +45,7 @@ def verdict_box(
         if has_truth else ''
     with_truth = ' with-truth' if has_truth else ''
     inside = (
-        f'<p class="sentence">{escape(verdict.opening)}.{_against_truth(rows)}</p>'
+        f'<p class="sentence">{escape(verdict.sentence)}.{_against_truth(rows)}</p>'
         f'<div class="answer"><div><div class="scroll"><table class="answer-table{with_truth}">'
         f'<caption>Pose of {b} in {a}: <code>p<sub>{a}</sub> = T p<sub>{b}</sub></code></caption>'
         '<thead><tr>'
@@ -56,7 +56,7 @@ def verdict_box(
         f'<tbody>{body}</tbody></table></div>{limits}</div>{facts}</div>'
         f'{next_step(verdict.next_step)}{copies}')
     return verdict_section(
-        verdict.level, f'{a} <span class="arrow">→</span> {b}', verdict.title, inside)
+        verdict.level, f'{a} <span class="arrow">→</span> {b}', TITLES[verdict.level], inside)
 
 
 def _against_truth(rows: tuple[Row, ...]) -> str:

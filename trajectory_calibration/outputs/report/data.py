@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, UNOBSERVED
 from trajectory_calibration.data.motion_pairs import reference_indices
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows, Row
+from trajectory_calibration.outputs.answer import answer_rows, Row, TO_DEGREES
 from trajectory_calibration.outputs.report.clocks import Clocks, compare_clocks
 from trajectory_calibration.outputs.report.parts import (
     compare_parts,
@@ -26,13 +25,7 @@ from trajectory_calibration.outputs.report.parts import (
     TIME_SCALES_S,
 )
 from trajectory_calibration.outputs.report.text import metres
-from trajectory_calibration.outputs.report.tracks import (
-    compare_tracks,
-    corrected_b,
-    distances,
-    motion_covariance,
-    Tracks,
-)
+from trajectory_calibration.outputs.report.tracks import compare_tracks, corrected_b, Tracks
 from trajectory_calibration.result import CalibrationResult
 
 # Residuals that are looked at, and those of one time scale.
@@ -162,12 +155,13 @@ def report_data(
         The trajectories have no common time under the clock of the result.
 
     """
+    b = corrected_b(result, b)
     tracks = compare_tracks(result, a, b)
     return ReportData(
         result, answer_rows(result, T_a_b_true), T_a_b_true, tracks,
         compare_parts(tracks, result),
         _residuals(tracks, result),
-        compare_clocks(a, corrected_b(result, b)),
+        compare_clocks(a, b),
         _path_scale(tracks))
 
 
@@ -206,14 +200,9 @@ def _of_motions(
     tracks: Tracks, T_a_b: FloatArray, i: NDArray[np.intp], j: NDArray[np.intp],
 ) -> tuple[FloatArray, FloatArray]:
     """Return (M, 6) residuals and their likely size, metres and degrees."""
-    A = se3.inverse(tracks.pairs.poses_a[i]) @ tracks.pairs.poses_a[j]
-    C = se3.inverse(tracks.poses_c[i]) @ tracks.poses_c[j]
-    values = se3.log_se3(se3.inverse(A) @ C)
-    along = distances(tracks)
-    covariance = motion_covariance(tracks, T_a_b, A, np.abs(along[j] - along[i]))
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    unit = np.array([1.0] * 3 + [180 / np.pi] * 3)
-    return values * unit, sigma * unit
+    A, _, values = tracks.motions(i, j)
+    sigma = np.sqrt(np.diagonal(tracks.covariance(T_a_b, A, i, j), axis1=1, axis2=2))
+    return values * TO_DEGREES, sigma * TO_DEGREES
 
 
 def _path_scale(tracks: Tracks) -> PathScale:
@@ -225,8 +214,7 @@ def _path_scale(tracks: Tracks) -> PathScale:
             break
     if len(i) < 5 * _SCALE_PARTS:
         return empty
-    of_a, of_c = ((se3.inverse(poses[i]) @ poses[j])[:, :3, 3]
-                  for poses in (tracks.pairs.poses_a, tracks.poses_c))
+    of_a, of_c = (motions[:, :3, 3] for motions in tracks.motions(i, j)[:2])
     edges = np.linspace(0, tracks.seconds[-1], _SCALE_PARTS + 1)
     found = []
     for low, high in itertools.pairwise(edges):

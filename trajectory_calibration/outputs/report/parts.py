@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.assessment.observability import Observability, UNOBSERVED
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.report.tracks import distances, motion_covariance, Tracks
+from trajectory_calibration.outputs.answer import TO_DEGREES
+from trajectory_calibration.outputs.report.tracks import Tracks
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNKNOWN
 
@@ -105,12 +106,10 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
     edges = np.linspace(0, len(tracks), QUARTERS + 1)
     quarters = [_solve(best.picked((best.start >= low) & (best.start < high)), held)
                 for low, high in itertools.pairwise(edges)]
-    growth_s, growth_std = _growth(tracks, best, result, held)
+    of_quarters, of_scales = _degrees(quarters), _degrees(solved)
     return Parts(
-        _degrees([step for step, _ in quarters]), _degrees([value for _, value in quarters]),
-        np.array([seconds for seconds, _ in by_scale]),
-        _degrees([step for step, _ in solved]), _degrees([value for _, value in solved]),
-        growth_s, growth_std)
+        of_quarters[0], of_quarters[1], np.array([seconds for seconds, _ in by_scale]),
+        of_scales[0], of_scales[1], *_growth(tracks, best, result, held))
 
 
 def lag_of(tracks: Tracks, seconds: float) -> int:
@@ -160,11 +159,8 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
     i, j = lagged(tracks, lag, _MOTIONS)
     if not len(i):
         return _Scores(i, np.zeros((0, 6)), np.zeros((0, 6, 6)), 1)
-    A = se3.inverse(tracks.pairs.poses_a[i]) @ tracks.pairs.poses_a[j]
-    C = se3.inverse(tracks.poses_c[i]) @ tracks.poses_c[j]
-    along = distances(tracks)
-    sigma = motion_covariance(tracks, T_a_b, A, along[j] - along[i])
-    residual = se3.log_se3(se3.inverse(A) @ C)
+    A, C, residual = tracks.motions(i, j)
+    sigma = tracks.covariance(T_a_b, A, i, j)
     of_a, of_c = _jacobian(T_a_b, A, A), _jacobian(T_a_b, A, C)
     weighted = np.linalg.solve(
         sigma, np.concatenate([of_a, of_c, residual[:, :, None]], axis=2))
@@ -243,10 +239,9 @@ def _growth(
     std = np.minimum(std, UNKNOWN)
     unknown = [status == UNOBSERVED for status in result.observability.status.values()]
     std[:, unknown] = np.nan
-    return tracks.seconds[scores.start[ends]], _degrees(std)
+    return tracks.seconds[scores.start[ends]], std * TO_DEGREES
 
 
-def _degrees(rows: list[FloatArray] | FloatArray) -> FloatArray:
-    found = np.array(rows, dtype=np.float64).reshape(-1, 6)
-    found[:, 3:] = np.rad2deg(found[:, 3:])
-    return found
+def _degrees(solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+    """Return the steps and the deviations of several answers, (2, N, 6)."""
+    return np.array(solved).swapaxes(0, 1) * TO_DEGREES

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,9 @@ class Tracks:
     path_m : (K,) driven by a until then.
     distance_m, angle_deg : (K,) between the two.
     jumps : (J,) indices of the poses after a jump.
+    usable : (K - 1,) steps without a jump.
     gaps : (G,) indices of the poses before a pause of either sensor.
-    noise : of both sensors together, or None where it cannot be told.
+    noise : of both sensors together.
 
     """
 
@@ -50,6 +52,7 @@ class Tracks:
     distance_m: FloatArray
     angle_deg: FloatArray
     jumps: NDArray[np.intp]
+    usable: NDArray[np.bool_]
     gaps: NDArray[np.intp]
     noise: PairNoise
 
@@ -58,17 +61,36 @@ class Tracks:
 
     def largest_jumps(self, count: int) -> NDArray[np.intp]:
         """Return the indices of at most so many jumps, those in which the tracks part most."""
-        p = np.stack([self.pairs.poses_a[:, :3, 3], self.poses_c[:, :3, 3]])
-        step = p[:, self.jumps] - p[:, self.jumps - 1]
-        apart = np.linalg.norm(step[0] - step[1], axis=1)
-        return np.sort(self.jumps[np.argsort(-apart, kind='stable')[:count]])
+        apart = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(
+            self.poses_c[:, :3, 3], axis=0)
+        size = np.linalg.norm(apart[self.jumps - 1], axis=1)
+        return np.sort(self.jumps[np.argsort(-size, kind='stable')[:count]])
 
-    @property
-    def usable(self) -> NDArray[np.bool_]:
-        """(K - 1,) steps without a jump."""
-        usable = np.ones(len(self) - 1, dtype=bool)
-        usable[self.jumps - 1] = False
-        return usable
+    def motions(
+        self, i: NDArray[np.intp], j: NDArray[np.intp],
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the (M, 4, 4) motions of both from poses i to j, and (M, 6) ``log(A^-1 C)``."""
+        A, C = (se3.inverse(poses[i]) @ poses[j] for poses in (self.pairs.poses_a, self.poses_c))
+        return A, C, se3.log_se3(se3.inverse(A) @ C)
+
+    def covariance(
+        self, T_a_b: FloatArray, A: FloatArray, i: NDArray[np.intp], j: NDArray[np.intp],
+    ) -> FloatArray:
+        """Return (M, 6, 6), what noise does to ``log(A^-1 C)`` of the motions A from i to j.
+
+        The noise of the first pose reaches the translation through the length of the motion, that
+        of the way through a third of its square.
+        """
+        counted = np.concatenate([[0.0], np.cumsum(step_lengths(self.pairs.poses_a))])
+        white, walk = (covariance(T_a_b) for covariance in (
+            self.noise.white_covariance, self.noise.walk_covariance))
+        far = se3.adjoint(se3.inverse(A))
+        near = A.copy()
+        near[:, :3, 3] /= np.sqrt(3.0)
+        Ad = se3.adjoint(se3.inverse(near))
+        drift = np.abs(counted[j] - counted[i])[:, None, None] * (
+            Ad @ walk @ np.swapaxes(Ad, 1, 2))
+        return white + far @ white @ np.swapaxes(far, 1, 2) + drift
 
 
 def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
@@ -79,69 +101,44 @@ def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
 
 
 def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> Tracks:
-    """Carry b over to a with a result; raises AssociationError where they do not meet."""
-    clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
-    pairs = match_at(a, b.scaled(result.scale), clock, result.config)
-    poses_b = _without_drift(pairs.poses_b, result.diagnosis)
-    poses_b = _in_time(poses_b, pairs.stamps_ns, result.diagnosis)
-    pairs = PosePairs(pairs.stamps_ns, pairs.poses_a, poses_b, pairs.summary)
-    poses_c = poses_b @ se3.inverse(result.T_a_b)
+    """Carry ``corrected_b`` over to a; raises AssociationError where they do not meet."""
+    pairs = match_at(a, b, Clock(0.0), result.config)
+    diagnosis = result.diagnosis or {}
+    poses_b = _without_drift(pairs.poses_b, diagnosis.get('systematic_drift', (0, 0, 0)))
+    poses_b = _in_time(poses_b, pairs.stamps_ns, diagnosis.get('latency_s', 0.0))
+    pairs = replace(pairs, poses_b=poses_b)
+    poses_c = pairs.poses_b @ se3.inverse(result.T_a_b)
     poses_c = registration(pairs.poses_a, poses_c) @ poses_c
-    jumps = _jumps(result.diagnosis, pairs, poses_c)
+    jumps = _jumps(diagnosis.get('jumps', ()), pairs, poses_c)
     usable = np.ones(len(pairs) - 1, dtype=bool)
     usable[jumps - 1] = False
+    p_a, p_c = pairs.poses_a[:, :3, 3], poses_c[:, :3, 3]
     apart = np.swapaxes(pairs.poses_a[:, :3, :3], 1, 2) @ poses_c[:, :3, :3]
-    length = np.linalg.norm(np.diff(pairs.poses_a[:, :3, 3], axis=0), axis=1)
     return Tracks(
         pairs, poses_c,
         seconds=(pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9,
-        path_m=np.concatenate([[0.0], np.cumsum(length)]),
-        distance_m=np.linalg.norm(pairs.poses_a[:, :3, 3] - poses_c[:, :3, 3], axis=1),
+        path_m=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p_a, axis=0), axis=1))]),
+        distance_m=np.linalg.norm(p_a - p_c, axis=1),
         angle_deg=np.rad2deg(se3.rotation_angle(apart)),
-        jumps=jumps,
-        gaps=_gaps(pairs, a, corrected_b(result, b)),
+        jumps=jumps, usable=usable, gaps=_gaps(pairs, a, b),
         noise=identify_noise(pairs.stamps_ns, pairs.poses_a, poses_c, usable))
 
 
-def motion_covariance(
-    tracks: Tracks, T_a_b: FloatArray, A: FloatArray, distance: FloatArray,
-) -> FloatArray:
-    """Return (M, 6, 6), what noise does to ``log(A^-1 C)`` of (M, 4, 4) motions over distances.
-
-    The noise of the first pose reaches the translation through the length of the motion, that
-    of the way through a third of its square.
-    """
-    white = tracks.noise.white_covariance(T_a_b)
-    walk = tracks.noise.walk_covariance(T_a_b)
-    far = se3.adjoint(se3.inverse(A))
-    near = A.copy()
-    near[:, :3, 3] /= np.sqrt(3.0)
-    Ad = se3.adjoint(se3.inverse(near))
-    covariance = white + far @ white @ np.swapaxes(far, 1, 2)
-    covariance += distance[:, None, None] * (Ad @ walk @ np.swapaxes(Ad, 1, 2))
-    return covariance
-
-
-def distances(tracks: Tracks) -> FloatArray:
-    """Return (K,) the distance that drift is counted in."""
-    return np.concatenate([[0.0], np.cumsum(step_lengths(tracks.pairs.poses_a))])
-
-
-def _gaps(pairs: PosePairs, a: Trajectory, b: Trajectory) -> NDArray[np.intp]:
+def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> NDArray[np.intp]:
     """Return the indices of the pairs after which one of the sensors has a gap."""
-    found = [np.zeros(0, dtype=np.intp)]
-    for trajectory in (a, b):
-        long = np.flatnonzero(np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory))
-        middle = trajectory.stamps_ns[long] + np.diff(trajectory.stamps_ns)[long] // 2
-        inside = middle[(middle > pairs.stamps_ns[0]) & (middle < pairs.stamps_ns[-1])]
-        found.append(np.searchsorted(pairs.stamps_ns, inside) - 1)
-    return np.unique(np.concatenate(found))
+    middles = []
+    for trajectory in trajectories:
+        steps = np.diff(trajectory.stamps_ns)
+        long = np.flatnonzero(steps > longest_step_ns(trajectory))
+        middles.append(trajectory.stamps_ns[long] + steps[long] // 2)
+    middle = np.concatenate(middles)
+    inside = middle[(middle > pairs.stamps_ns[0]) & (middle < pairs.stamps_ns[-1])]
+    return np.unique(np.searchsorted(pairs.stamps_ns, inside) - 1)
 
 
-def _without_drift(poses_b: FloatArray, diagnosis: dict[str, Any] | None) -> FloatArray:
+def _without_drift(poses_b: FloatArray, drift: Sequence[float]) -> FloatArray:
     """Take a constant drift per metre, that was identified, out of the positions of b."""
-    drift = np.asarray((diagnosis or {}).get('systematic_drift', (0, 0, 0)), dtype=np.float64)
-    if not drift.any():
+    if not any(drift):
         return poses_b
     steps = np.diff(poses_b[:, :3, 3], axis=0)
     length = np.linalg.norm(steps, axis=1)
@@ -151,20 +148,17 @@ def _without_drift(poses_b: FloatArray, diagnosis: dict[str, Any] | None) -> Flo
     return corrected
 
 
-def _in_time(
-    poses_b: FloatArray, stamps_ns: NDArray[np.int64], diagnosis: dict[str, Any] | None,
-) -> FloatArray:
+def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float) -> FloatArray:
     """Move the positions of b to where they belong, where they are older than the attitude."""
-    latency = float((diagnosis or {}).get('latency_s', 0.0))
-    if not latency:
+    if not latency_s:
         return poses_b
     seconds = (stamps_ns - stamps_ns[0]) * 1e-9
     # As far as neighbours tell a velocity: a jump in a gap is none.
     near = np.diff(seconds) <= _NEAR * float(np.median(np.diff(seconds)))
     known = np.concatenate([[True], near]) & np.concatenate([near, [True]])
-    velocity = np.gradient(poses_b[:, :3, 3], seconds, axis=0) * known[:, None]
     moved = poses_b.copy()
-    moved[:, :3, 3] += latency * velocity
+    moved[:, :3, 3] += latency_s * known[:, None] * np.gradient(
+        poses_b[:, :3, 3], seconds, axis=0)
     return moved
 
 
@@ -188,23 +182,17 @@ def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
 
 
 def _jumps(
-    diagnosis: dict[str, Any] | None, pairs: PosePairs, poses_c: FloatArray,
+    named: Sequence[dict[str, Any]], pairs: PosePairs, poses_c: FloatArray,
 ) -> NDArray[np.intp]:
     """Return the indices of the poses after a jump: named by the solver, or large."""
-    named = np.zeros(0, dtype=np.intp)
-    if diagnosis is not None and diagnosis['jumps']:
-        stamps = np.array([jump['stamp_ns'] for jump in diagnosis['jumps']], dtype=np.int64)
-        after = np.searchsorted(pairs.stamps_ns, stamps)
-        after = np.clip(after, 1, len(pairs) - 1)
-        before = np.maximum(after - 1, 1)
-        nearer = (np.abs(pairs.stamps_ns[before] - stamps)
-                  < np.abs(pairs.stamps_ns[after] - stamps))
-        named = np.where(nearer, before, after)
-    A = se3.inverse(pairs.poses_a[:-1]) @ pairs.poses_a[1:]
-    C = se3.inverse(poses_c[:-1]) @ poses_c[1:]
+    stamps = np.array([jump['stamp_ns'] for jump in named], dtype=np.int64)
+    after = np.clip(np.searchsorted(pairs.stamps_ns, stamps), 1, len(pairs) - 1)
+    before = np.maximum(after - 1, 1)
+    nearer = np.abs(pairs.stamps_ns[before] - stamps) < np.abs(pairs.stamps_ns[after] - stamps)
+    A, C = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (pairs.poses_a, poses_c))
     parted = se3.log_se3(se3.inverse(A) @ C)
     found = np.zeros(len(parted), dtype=bool)
     for part in (parted[:, :3], parted[:, 3:]):
         size = np.linalg.norm(part, axis=1)
         found |= size > max(_JUMP * float(np.median(size)), 1e-9)
-    return np.unique(np.concatenate([named, np.flatnonzero(found) + 1]))
+    return np.union1d(np.where(nearer, before, after), np.flatnonzero(found) + 1)
