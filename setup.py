@@ -46,7 +46,8 @@ setup(
     maintainer_email='trajectory-calibration@example.org',
     python_requires='>=3.10',
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed', 'outputs/report/*.css', 'outputs/report/*.js']},
+    package_data={NAME: ['py.typed', *(
+        f'outputs/report/*.{ending}' for ending in ('css', 'html', 'ini', 'js'))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -19,7 +19,6 @@ from trajectory_calibration.outputs.comparison_table import cells_of
 from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
 from trajectory_calibration.outputs.report.page import page
-from trajectory_calibration.outputs.report.record import versions
 from trajectory_calibration.outputs.report.text import figure, section, table, verdict_section
 from trajectory_calibration.result import CalibrationResult
 
@@ -46,7 +45,7 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
         f'Chi-squared of all about one mean: {comparison.chi_squared:.1f} at '
         f'{comparison.degrees_of_freedom} degrees of freedom. What the words of the findings '
         'mean: docs/findings.md.')
-    return page(title, box + charts + recordings, made_by=versions(), scripts=())
+    return page(title, box + charts + recordings, scripts=())
 
 
 def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> list[str]:

@@ -16,7 +16,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
 from trajectory_calibration.outputs.report.page import page
-from trajectory_calibration.outputs.report.record import Record, record_cards, versions
+from trajectory_calibration.outputs.report.record import Record, record_cards
 from trajectory_calibration.outputs.report.render import finding_list
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.text import (
@@ -74,7 +74,7 @@ def render_rig(
             rig.version)),
     ]
     title = f'Rig of {counted(len(rig.sensors), "sensor")}: calibration report'
-    return page(title, ''.join(parts), navigation=_NAVIGATION, made_by=versions())
+    return page(title, ''.join(parts), navigation=_NAVIGATION)
 
 
 def _colour(rig: RigResult, name: str) -> str:

@@ -9,32 +9,13 @@ from dataclasses import dataclass, field
 import hashlib
 from html import escape
 from pathlib import Path
-import platform
 from typing import Any
 
-import numpy as np
-
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.outputs.report.page import asset, versions
 from trajectory_calibration.outputs.report.text import table
-from trajectory_calibration.version import __version__
 
 _BLOCK = 1 << 20
-
-GLOSSARY = (
-    ('extrinsic T_a_b', 'pose of sensor b in sensor a: p_a = T_a_b p_b'),
-    ('standard deviation, σ', ('the error is smaller than this in about 68 of 100 drives, smaller '
-     'than 2 σ in 95')),
-    ('status', ('ok: deviation below the limit of the settings; weak: above it; unknown: not '
-     'determined by the motion; prior: the value was given beforehand')),
-    ('motion', 'relative pose between two instants; A of sensor a, B of sensor b: A X = X B'),
-    ('residual', ('difference between a motion of a and that of b, carried over to a; small '
-     'residuals alone do not prove a good extrinsic')),
-    ('jump', ('sudden change of one trajectory without motion: loop closure, relocalisation '
-     'or restart of a SLAM; excluded')),
-    ('gap', 'time in which a sensor has no poses'),
-    ('drift', 'error of a trajectory that grows with the distance'),
-    ('roll, pitch, yaw', 'rotations about the fixed x, then y, then z axis of a, as in URDF'),
-)
 
 
 @dataclass(frozen=True)
@@ -80,12 +61,6 @@ def hash_inputs(paths: Iterable[tuple[str, Path]]) -> tuple[Input, ...]:
     return tuple(found)
 
 
-def versions() -> str:
-    """Return the versions that an answer may depend on."""
-    return (f'trajectory_calibration {__version__}, Python {platform.python_version()}, '
-            f'NumPy {np.__version__}, {platform.system()} {platform.machine()}')
-
-
 def record_cards(
     record: Record, config: CalibrationConfig, findings: str, result_version: str = '',
 ) -> str:
@@ -101,9 +76,7 @@ def record_cards(
         _card('Settings', _settings(config)),
         _card('Versions', f'<p>{escape(versions())}'
               + (f'; result made by {escape(result_version)}' if result_version else '') + '</p>'),
-        _card('Glossary', '<dl>' + ''.join(
-            f'<dt>{escape(word)}</dt><dd>{escape(meaning)}</dd>' for word, meaning in GLOSSARY)
-            + '</dl>')]
+        _card('Glossary', asset('glossary.html'))]
     return ''.join(cards)
 
 

@@ -15,12 +15,11 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows
 from trajectory_calibration.outputs.report import drawings as draw
-from trajectory_calibration.outputs.report.box import facts_list, verdict_box
+from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
-from trajectory_calibration.outputs.report.copies import copies
 from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.page import page, style
-from trajectory_calibration.outputs.report.record import Record, record_cards, versions
+from trajectory_calibration.outputs.report.record import Record, record_cards
 from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
 from trajectory_calibration.outputs.report.text import (
     figure,
@@ -32,7 +31,7 @@ from trajectory_calibration.outputs.report.text import (
     verdict_section,
 )
 from trajectory_calibration.outputs.report.view3d import single_track
-from trajectory_calibration.outputs.verdict import FAILED, judge, TITLES
+from trajectory_calibration.outputs.verdict import FAILED, TITLES
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -54,20 +53,17 @@ def render_report(
 def render(data: ReportData, record: Record | None = None) -> str:
     """Return the report of what was computed."""
     result = data.result
-    box = verdict_box(
-        result, data.rows, judge(result, data.rows), copies(result),
-        facts_list(result, data.driven))
+    box = verdict_box(result, data.rows, data.driven)
     last = section(6, 'Record', record_cards(
         record or Record(), result.config, finding_list(result.findings), result.version))
     return page(
         f'{result.frame_a} → {result.frame_b}: calibration report', box + sections(data) + last,
-        navigation=NAVIGATION, made_by=versions())
+        navigation=NAVIGATION)
 
 
 def render_box(result: CalibrationResult) -> str:
     """Return the verdict box alone, with its style, for a notebook."""
-    rows = answer_rows(result)
-    box = verdict_box(result, rows, judge(result, rows), '')
+    box = verdict_box(result, answer_rows(result))
     # In a frame of its own, so that the style stays inside.
     inside = f'<style>{style()} body{{background:none}}</style><main>{box}</main>'
     # Where the notebook lets it, the frame takes the height of what is inside.
@@ -98,8 +94,7 @@ def render_failure(
         found for trajectory in trajectories for found in trajectory.findings)
     last = section(2, 'Record', record_cards(
         record or Record(), config or CalibrationConfig(), findings))
-    return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'),
-                made_by=versions())
+    return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'))
 
 
 def _reason_and_advice(error: str) -> tuple[str, str]:
