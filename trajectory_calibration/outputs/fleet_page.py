@@ -78,10 +78,10 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
         if not known.any():
             plot.write(0.5, 0.5, 'unknown in every recording', 'middle')
         charts.append(figure(
-            name.replace(' ', ' about '), plot,
+            'chart', plot,
             _reading([(mean[k], deviation[k]) for mean, deviation in means], unit_of(k))
             if known.any() else 'Unknown.',
-            'all bars reach the line', 'a step, or bars that miss the line'))
+            number=name.replace(' ', ' about ')))
     return charts
 
 

@@ -134,11 +134,8 @@ def _tree(rig: RigResult) -> str:
         canvas.circle(x, y, 7, css=f'fill:{fill}')
         canvas.text(x, y - 11, f'{name}{note}', 'middle')
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
-    return figure(
-        'Pairs that hold the rig together', canvas,
-        f'{used} of {counted(len(rig.pairs), "pair")} have part in the answer.',
-        'every sensor in two pairs or more, solid lines',
-        'dashed lines: no answer or not used; a sensor that hangs on one line')
+    return figure('pairs', canvas,
+                  f'{used} of {counted(len(rig.pairs), "pair")} have part in the answer.')
 
 
 def _pair_style(pair: PairReport) -> str:
@@ -172,9 +169,7 @@ def _matrix(rig: RigResult) -> str:
     checked = [pair.chi_squared / pair.degrees for pair in rig.pairs if pair.degrees]
     reading = (f'Largest: {max(checked):.1f}; x: no answer.' if checked else
                'No pair is checked by another one.')
-    return figure(
-        'Chi-squared of each pair, per degree of freedom', canvas, reading,
-        'about 1 and below', 'a red row and column of one sensor: it contradicts the rest')
+    return figure('chi-squared', canvas, reading)
 
 
 def _misfits(rig: RigResult) -> str:
@@ -215,9 +210,8 @@ def _noise(rig: RigResult) -> str:
             canvas.text(left - 6, y + 11, name[-14:], 'end', '')
             canvas.box(left, y, max(width, 1), 14, css=f'fill:{_colour(rig, name)}')
             canvas.text(left + width + 6, y + 11, f'{value:.2g}')
-        found.append(figure(
-            f'{title}, {unit}', canvas, f'Largest: {worst}, {values[worst]:.2g} {unit}.',
-            'what the sensor is known for', 'one sensor many times above its kind'))
+        found.append(figure('noise', canvas, f'Largest: {worst}, {values[worst]:.2g} {unit}.',
+                            noise=title, unit=unit))
     return ''.join(found)
 
 
@@ -263,9 +257,7 @@ def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> str:
                     f'{escape(name)}</span>')
     scene.scale_bar()
     return figure(
-        'All tracks from above', scene,
-        f'{len(names)} tracks, laid on that of {names[0]}.', 'one line of many colours',
-        'a track that leaves the others', wide=True,
+        'all tracks', scene, f'{len(names)} tracks, laid on that of {names[0]}.', wide=True,
         legend=f'<p class="legend">{"".join(keys)}</p>')
 
 
@@ -281,7 +273,7 @@ def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
                     name=f'{name} from {names[0]}', x_label='s', y_label='m')
         plot.line(seconds[at], distance, 'line-b')
         found.append(figure(
-            f'{name} from {names[0]}', plot,
+            'apart', plot,
             f'Median {np.nanmedian(distance):.3g} m, largest {np.nanmax(distance):.3g} m.',
-            'a slow wave: drift', 'steps: jumps of a track, or a mount that moved'))
+            name=name, base=names[0]))
     return ''.join(found)

@@ -64,6 +64,11 @@ class Residuals:
     by_scale: FloatArray
     expected: FloatArray
 
+    def of_used(self) -> tuple[FloatArray, FloatArray]:
+        """Return (U, 6) values that are not excluded, or all, and those over their sigma."""
+        used = ~self.excluded if not self.excluded.all() else slice(None)
+        return self.values[used], self.values[used] / np.maximum(self.sigma[used], 1e-300)
+
 
 @dataclass(frozen=True, eq=False)
 class PathScale:

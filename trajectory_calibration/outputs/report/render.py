@@ -120,18 +120,15 @@ def _input_figure(name: str, trajectory: Trajectory) -> str:
     reading = (f'{len(trajectory):,} poses over {trajectory.duration_s:.1f} s '
                f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length}, turned '
                f'{turned:,.0f} deg in all.')
-    return figure(f'Track of {name}: {trajectory.sensor_frame}',
-                  single_track(trajectory.positions, f'line-{name}'), reading,
-                  'the path that was driven, with curves', 'a straight line, a cloud or a point')
+    return figure('input', single_track(trajectory.positions, f'line-{name}'), reading,
+                  name=name, frame=trajectory.sensor_frame)
 
 
 def _together(a: Trajectory, b: Trajectory) -> str:
     clocks = compare_clocks(a, b)
     apart = (int(b.stamps_ns[0]) - int(a.stamps_ns[0])) * 1e-9
-    strip = figure(
-        'Times with poses', draw.gap_strip(clocks),
-        f'The first pose of b is {apart:+.3f} s from that of a.',
-        'two full bars of equal length', 'bars that do not overlap: wrong clock or other drives')
+    strip = figure('times of inputs', draw.gap_strip(clocks),
+                   f'The first pose of b is {apart:+.3f} s from that of a.')
     reading = 'Both sensors of one vehicle turn by the same angle at the same time.'
     if a.stamps_ns[-1] <= b.stamps_ns[0] or b.stamps_ns[-1] <= a.stamps_ns[0]:
         # Nothing in common: from the first pose of each, which shows whether it was one drive.
@@ -139,8 +136,5 @@ def _together(a: Trajectory, b: Trajectory) -> str:
             b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0], b.poses, b.world_frame,
             b.sensor_frame))
         reading += ' Drawn from the first pose of each, because they have no time in common.'
-    curves = figure(
-        'Angular rates as recorded', draw.rates(clocks), reading,
-        'curves of one shape, perhaps shifted', 'other shapes: other vehicles, topics or drives',
-        legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))
-    return strip + curves
+    return strip + figure('rates of inputs', draw.rates(clocks), reading,
+                          legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))

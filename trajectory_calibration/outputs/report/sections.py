@@ -17,9 +17,8 @@ from trajectory_calibration.outputs.screen import reference_words
 
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')
 
-# Shares of normalised residuals beyond three deviations that a normal distribution has.
+# Share of normalised residuals beyond three deviations that a normal distribution has.
 _NORMAL_TAIL = 0.0027
-_AGREES = 2.0
 
 
 def sections(data: ReportData) -> str:
@@ -30,87 +29,67 @@ def sections(data: ReportData) -> str:
 
 def _tracks(data: ReportData) -> str:
     tracks, result = data.tracks, data.result
-    usual, largest = (float(np.quantile(tracks.distance_m, q)) for q in (0.5, 1.0))
+    usual, largest = metres(float(np.median(tracks.distance_m))), metres(tracks.distance_m.max())
     path = float(tracks.path_m[-1])
-    share = f' ({100 * largest / path:.2g} % of {metres(path)} driven)' if path > 0 else ''
-    a, b = result.frame_a, result.frame_b
+    share = (f' ({100 * tracks.distance_m.max() / path:.2g} % of {metres(path)} driven)'
+             if path > 0 else '')
     dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'
-    key = legend(('a', f'a: {a}'), ('b', f'b carried over: {b}'), ('jump', dots), ('gap', 'gap'))
+    key = legend(('a', f'a: {result.frame_a}'), ('b', f'b carried over: {result.frame_b}'),
+                 ('jump', dots), ('gap', 'gap'))
     jumps = counted(len(tracks.jumps), 'jump') if len(tracks.jumps) else 'no jumps'
-    reading = (f'The tracks are {metres(usual)} apart in the median and {metres(largest)} at '
-               f'most{share}; {jumps}.')
-    angle = float(np.quantile(tracks.angle_deg, 0.5))
     figures = (
-        figure('Both tracks', track_view(tracks), reading,
-               'one line on top of the other, a distance that grows slowly as both drift',
-               'another shape, a mirrored curve or another size: wrong pairing, frame or unit',
-               wide=True, legend=key)
-        + figure('Distance between a and b carried over', draw.distance_over_time(data),
-                 f'Median {metres(usual)}, largest {metres(largest)}.',
-                 'small, smooth, growing slowly with the distance',
-                 'steps (jumps) or a wave in step with each turn (wrong lever arm)')
-        + figure('Distance over the path', draw.distance_over_path(data),
-                 f'Driven: {data.driven}.',
-                 'growing slowly: ordinary drift', 'at once, where one SLAM lost its way')
-        + figure('Difference of orientation', draw.angle_over_time(data),
-                 f'Median {angle:.2g} deg, largest {float(tracks.angle_deg.max()):.2g} deg.',
-                 'below a degree or two without steps',
-                 'a constant level or a wave with the heading: wrong rotation'))
+        figure('tracks', track_view(tracks), f'The tracks are {usual} apart in the median and '
+               f'{largest} at most{share}; {jumps}.', wide=True, legend=key)
+        + figure('distance by time', draw.distance_over_time(data),
+                 f'Median {usual}, largest {largest}.')
+        + figure('distance by path', draw.distance_over_path(data), f'Driven: {data.driven}.')
+        + figure('orientation', draw.angle_over_time(data),
+                 f'Median {np.median(tracks.angle_deg):.2g} deg, largest '
+                 f'{tracks.angle_deg.max():.2g} deg.'))
     return section(1, 'Do the two tracks coincide?', figures,
                    'b is carried over to a with the extrinsic and laid on the track of a as a '
                    'whole. Drag to turn, wheel to zoom.')
 
 
 def _motion(data: ReportData) -> str:
-    result = data.result
-    observability = result.observability
-    found = np.array(observability.excitation_deg)
-    need = data.need_deg
-    if need is None:
-        reading = 'Without a covariance, the needed rotation is not known.'
-    else:
-        enough = int(np.sum(found >= need))
-        reading = (f'Axes with the needed {need:.2g} deg: {enough} of 3; at least 2 are needed, '
+    result, need = data.result, data.need_deg
+    status = result.observability.status
+    reading = 'The need cannot be told without a covariance.'
+    if need is not None:
+        enough = sum(value >= need for value in result.observability.excitation_deg)
+        reading = (f'{enough} of 3 axes reach the need of {need:.2g} deg; at least 2 must, '
                    'because a rotation says nothing about the translation along its own axis.')
     key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
     growth = data.parts.growth_std
-    flat = ''
+    gain = 'The drive is too short to tell.'
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
-        half = growth[len(growth) // 2]
-        gain = float(np.nanmedian(half / np.maximum(growth[-1], 1e-300)))
-        flat = (f'The second half of the drive made the deviations {gain:.2g} times smaller '
-                '(1.4 is usual for more of the same motion).')
+        ratio = np.nanmedian(growth[len(growth) // 2] / np.maximum(growth[-1], 1e-300))
+        gain = (f'The second half of the drive improved the deviations {ratio:.2g} times '
+                '(more of the same motion: 1.4 times).')
+    unknown = np.zeros((6, 6))
     figures = (
-        figure('Rotation by axis of a', draw.rotation_by_axis(data), reading,
-               'two or three bars above the line', 'one bar only: a flat floor')
-        + figure('Translation against driving time',
-                 draw.deviation_over_time(data, rotation=False),
-                 flat or 'The drive is too short for this figure.',
-                 'falling below the dashed line, then flat', 'above the line at the end',
+        figure('motion', draw.rotation_by_axis(data), reading)
+        + figure('translation by time', draw.deviation_over_time(data, rotation=False), gain,
                  legend=key)
-        + figure('Rotation against driving time', draw.deviation_over_time(data, rotation=True),
+        + figure('rotation by time', draw.deviation_over_time(data, rotation=True),
                  'A step down marks a manoeuvre that helped; a flat curve says that more of the '
-                 'same does not.',
-                 'falling below the dashed line, then flat', 'above the line at the end',
-                 legend=key)
+                 'same does not.', legend=key)
         + sensor_views([
-            Mounted(result.frame_a, np.eye(4), np.zeros((6, 6)),
-                    dict.fromkeys(observability.status, OBSERVED), 'var(--a)'),
+            Mounted(result.frame_a, np.eye(4), unknown, dict.fromkeys(status, OBSERVED),
+                    'var(--a)'),
             Mounted(result.frame_b, result.T_a_b,
-                    np.zeros((6, 6)) if result.covariance is None else result.covariance,
-                    observability.status, 'var(--b)')]))
+                    unknown if result.covariance is None else result.covariance, status,
+                    'var(--b)')]))
     return section(2, 'Was the motion enough?', figures)
 
 
 def _parts(data: ReportData) -> str:
-    parts = data.parts
-    if not len(parts.scales_s):
+    if not len(data.parts.scales_s):
         return section(3, 'Do parts of the data agree?',
                        '<div class="card"><p>The drive is too short to be divided.</p></div>')
     figures = ''.join(
-        figure(draw.AXES[k].capitalize() if k >= 3 else f'Translation {draw.AXES[k]}',
-               draw.part_plot(data, k), _agreement(data, k),
-               'error bars cross the band', 'parts that miss the band by more than their bars')
+        figure('part', draw.part_plot(data, k), _agreement(data, k),
+               number=draw.AXES[k].capitalize() if k >= 3 else f'Translation {draw.AXES[k]}')
         for k in range(6))
     return section(
         3, 'Do parts of the data agree?', figures,
@@ -133,80 +112,57 @@ def _agreement(data: ReportData, k: int) -> str:
 
 
 def _residuals(data: ReportData) -> str:
-    found, result = data.residuals, data.result
-    used = ~found.excluded
-    z = found.values[used] / np.maximum(found.sigma[used], 1e-300) if used.any() \
-        else found.values / np.maximum(found.sigma, 1e-300)
+    found, metrics = data.residuals, data.result.metrics
+    values, z = found.of_used()
     figures = ''
     for k in range(6):
-        beyond = float(np.mean(np.abs(z[:, k]) > 3))
-        rms = float(np.sqrt(np.mean(found.values[used][:, k] ** 2))) if used.any() else 0.0
+        rms = np.sqrt(np.mean(values[:, k] ** 2))
         figures += figure(
-            f'Residual {draw.AXES[k]}', draw.residual_over_time(data, k),
-            f'Root mean square {rms:.2g} {draw.unit_of(k)}; {100 * beyond:.2g} % beyond 3 '
-            'standard deviations.',
-            'a level stripe inside the band', 'waves, steps or a slope')
-    tail = float(np.mean(np.abs(z) > 3))
-    scale = float(np.sqrt(np.mean(np.minimum(z**2, 25))))
+            'residual', draw.residual_over_time(data, k),
+            f'Root mean square {rms:.2g} {draw.unit_of(k)}; '
+            f'{100 * np.mean(np.abs(z[:, k]) > 3):.2g} % beyond 3 standard deviations.',
+            number=draw.AXES[k])
     figures += figure(
-        'Histogram', draw.histogram(data),
-        f'Root mean square {scale:.2g} (1 expected); {100 * tail:.2g} % beyond 3 '
-        f'({100 * _NORMAL_TAIL:.1g} % expected).',
-        'curves that follow the bell', 'narrow with long tails: outliers; wide: noise is more '
-        'than identified', legend=legend(('a', 'translation'), ('b', 'rotation'),
-                                         ('noise', 'normal distribution')))
-    for kind, title in enumerate(('Translation by time scale', 'Rotation by time scale')):
+        'histogram', draw.histogram(data),
+        f'Root mean square {np.sqrt(np.mean(np.minimum(z**2, 25))):.2g} (1 expected); '
+        f'{100 * np.mean(np.abs(z) > 3):.2g} % beyond 3 ({100 * _NORMAL_TAIL:.1g} % expected).',
+        legend=legend(('a', 'translation'), ('b', 'rotation'), ('noise', 'normal distribution')))
+    for kind, part in enumerate(('Translation', 'Rotation')):
+        reading, median = 'The drive is too short to tell.', found.by_scale[:, kind, 2]
+        if len(median):
+            reading = 'Median ' + ', '.join(
+                f'{median[end]:.2g} {"deg" if kind else "m"} over {found.scales_s[end]:g} s'
+                for end in (0, -1)) + '.'
         figures += figure(
-            title, draw.box_by_scale(data, kind), _growth(data, kind),
-            'boxes on the dashed line (the identified noise)',
-            'boxes far above it on long scales: drift or jumps that the noise does not explain')
-    lag = result.reference or result.config.reference
-    lead = (f'Motions {reference_words(lag)}: mean {result.metrics.e_rt:.3g} m, '
-            f'{float(np.rad2deg(result.metrics.e_rR)):.3g} deg per motion. This is the fit, '
-            'not the accuracy of the extrinsic.')
+            'residual by scale', draw.box_by_scale(data, kind), reading, part=part)
+    lead = (f'Motions {reference_words(data.result.reference or data.result.config.reference)}: '
+            f'mean {metrics.e_rt:.3g} m, {np.rad2deg(metrics.e_rR):.3g} deg per motion. This is '
+            'the fit, not the accuracy of the extrinsic.')
     return section(4, 'Residuals', figures, lead)
 
 
-def _growth(data: ReportData, kind: int) -> str:
-    found = data.residuals
-    if not len(found.scales_s):
-        return 'The drive is too short for this figure.'
-    median = found.by_scale[:, kind, 2]
-    unit = 'deg' if kind else 'm'
-    return (f'Median {median[0]:.2g} {unit} over {found.scales_s[0]:g} s, {median[-1]:.2g} {unit} '
-            f'over {found.scales_s[-1]:g} s.')
-
-
 def _clocks(data: ReportData) -> str:
-    clocks, result = data.clocks, data.result
-    key = legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}'))
+    clocks, result, scale = data.clocks, data.result, data.scale
     applied = f'{result.time_offset_s:+.4f} s was added to the stamps of b'
     if result.clock_drift:
         applied += f', and a drift of {1e6 * result.clock_drift:+.1f} ppm'
     figures = figure(
-        'Angular rates', draw.rates(clocks), f'The {clocks.seconds[-1] - clocks.seconds[0]:.0f} s '
-        f'with the most rotation; {applied}.',
-        'the curves rise and fall together', 'one runs ahead of the other, or has another shape',
-        legend=key)
+        'rates', draw.rates(clocks), f'The {clocks.seconds[-1] - clocks.seconds[0]:.0f} s '
+        f'with the most turning; {applied}.',
+        legend=legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}')))
     if len(clocks.offsets_s):
         best = int(np.argmax(clocks.correlation))
-        off = float(clocks.offsets_s[best])
-        where = 'at the offset used' if abs(off) <= 1.5 * float(
-            clocks.offsets_s[1] - clocks.offsets_s[0]) else f'{off:+.3f} s from it'
-        figures += figure(
-            'Agreement by clock offset', draw.offset_curve(clocks),
-            f'Highest correlation {float(clocks.correlation[best]):.3f}, {where}.',
-            'one sharp peak at 0', 'several peaks, a flat top or a peak elsewhere')
+        off, cell = clocks.offsets_s[best], clocks.offsets_s[1] - clocks.offsets_s[0]
+        where = 'at the offset used' if abs(off) <= 1.5 * cell else f'{off:+.3f} s from it'
+        figures += figure('offset', draw.offset_curve(clocks),
+                          f'Highest correlation {clocks.correlation[best]:.3f}, {where}.')
     gaps = len(clocks.spans_a) + len(clocks.spans_b) - 2
     figures += figure(
-        'Times with poses', draw.gap_strip(clocks),
-        f'{counted(gaps, "gap")}; {result.poses:,} pose pairs of {result.association.poses_a:,} '
-        f'poses of a and {result.association.poses_b:,} of b.',
-        'two full bars of equal length', 'bars that overlap little, or are full of holes')
-    if len(data.scale.seconds):
-        spread = float(np.ptp(data.scale.ratio))
+        'times', draw.gap_strip(clocks),
+        f'{counted(gaps, "gap")}; {result.poses} pose pairs of {result.association.poses_a} '
+        f'poses of a and {result.association.poses_b} of b.')
+    if len(scale.seconds):
         figures += figure(
-            'Scale over the drive', draw.scale_over_path(data.scale),
-            f'Scale of b {result.scale:.6g}; it varies by {100 * spread:.2g} % over the drive.',
-            'level within the error bars', 'a slope or steps: scale drift of a monocular SLAM')
+            'scale', draw.scale_over_path(scale), f'Scale of b {result.scale:.6g}; it varies by '
+            f'{100 * np.ptp(scale.ratio):.2g} % over the drive.')
     return section(5, 'Clock and scale', figures, columns=2)

@@ -72,11 +72,9 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
                    for sensor, item in zip(sensors, known, strict=True) if not item.all()]
         where = ' along the stripe' if not known[:, axes].all() else ''
         found.append(figure(
-            f'Sensors seen along {along} of {sensors[0].name}', scene,
-            f'{"; ".join(unknown)}: unknown{where}.' if unknown else
+            'sensors', scene, f'{"; ".join(unknown)}: unknown{where}.' if unknown else
             'Each sensor lies in its ellipse with 95 % probability.',
-            'sensors where you mounted them, in ellipses smaller than the distances. Axes: x red, '
-            'y green, z blue', 'a sensor on the wrong side, a large ellipse, or unknown'))
+            axis=along, base=sensors[0].name))
     return ''.join(found)
 
 

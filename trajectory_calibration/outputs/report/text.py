@@ -4,9 +4,12 @@
 
 from __future__ import annotations
 
+from configparser import RawConfigParser
+from functools import cache
 from html import escape
 
 from trajectory_calibration.outputs.report.figures import Canvas, Plot
+from trajectory_calibration.outputs.report.page import asset
 
 
 def metres(value: float) -> str:
@@ -34,15 +37,26 @@ def next_step(text: str) -> str:
     return f'<p class="next"><b>Next</b> {escape(sentence(text))}</p>' if text else ''
 
 
+@cache
+def _captions() -> RawConfigParser:
+    found = RawConfigParser()
+    found.read_string(asset('captions.ini'))
+    return found
+
+
 def figure(
-    title: str, picture: Canvas | Plot | str, reading: str, good: str, bad: str, *,
-    wide: bool = False, legend: str = '',
+    kind: str, picture: Canvas | Plot | str, reading: str, *, wide: bool = False,
+    legend: str = '', **names: str,
 ) -> str:
-    """Return a figure with what it says here, and what good and bad look like."""
+    """Return a figure with what it says here, and what good and bad look like.
+
+    ``kind`` is a section of captions.ini, whose title has gaps for ``names``.
+    """
+    title, good, bad = (_captions()[kind][key] for key in ('title', 'good', 'bad'))
     style = ' class="wide"' if wide else ''
     drawn = picture if isinstance(picture, str) else picture.svg()
     return (
-        f'<figure{style}><h3>{escape(title)}</h3>{legend}{drawn}<figcaption>'
+        f'<figure{style}><h3>{escape(title.format(**names))}</h3>{legend}{drawn}<figcaption>'
         f'<p class="reading">{escape(reading)}</p>'
         f'<p><b>Good:</b> {escape(good)}. <b>Bad:</b> {escape(bad)}.</p>'
         '</figcaption></figure>')
