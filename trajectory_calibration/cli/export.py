@@ -108,8 +108,9 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
 
 def _require_free(item: Placement, tree: FrameTree) -> None:
     """Raise ConfigError where the child already has another parent in the robot."""
-    present = tree.parent_of(item.child)
-    if present not in (None, '', item.parent):
+    joint = tree.joints.get(item.child)
+    present = joint.parent if joint else ''
+    if present not in ('', item.parent):
         raise ConfigError(
             f'{item.child} already has the parent {present} in {tree.path}, and a link has one; '
             f'give --child {present}, so that {present} is placed in {item.parent}')

@@ -17,7 +17,7 @@ from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE
 from trajectory_calibration.errors import ConfigError, counted, in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.frame_tree import FrameTree
+from trajectory_calibration.outputs.frame_tree import FrameTree, numbers_of
 
 FORMS = (
     'one row [t] x y z qx qy qz qw; 4 x 4 or 3 x 4 numbers (text or .npy); x y z roll pitch yaw '
@@ -29,14 +29,7 @@ _T = TypeVar('_T')
 
 
 class KnownExtrinsic(NamedTuple):
-    """A transform and how it was read.
-
-    Attributes
-    ----------
-    T_a_b : (4, 4), the pose of b in a, metres.
-    how : one sentence that says which frames a and b are there.
-
-    """
+    """The (4, 4) pose of b in a, metres, and a sentence that says which frames these are there."""
 
     T_a_b: FloatArray
     how: str
@@ -45,7 +38,7 @@ class KnownExtrinsic(NamedTuple):
 def read_extrinsic(
     path: str | Path, frame_a: str | None = None, frame_b: str | None = None,
 ) -> KnownExtrinsic:
-    """Read the pose of b in a.
+    """Read the pose of b in a; Kalibr and KITTI files hold the inverse, which is undone.
 
     Parameters
     ----------
@@ -54,11 +47,6 @@ def read_extrinsic(
         of a Kalibr chain, a sensor of an Autoware kit, ``02`` of a KITTI cam_to_cam file.
     frame_a, frame_b : str, optional
         Names by which a URDF or an Autoware kit is searched first.
-
-    Returns
-    -------
-    KnownExtrinsic
-        With the direction in words: Kalibr and KITTI files hold the inverse, which is undone.
 
     Raises
     ------
@@ -72,8 +60,11 @@ def read_extrinsic(
     except OSError as error:
         raise SourceError(f'{file} cannot be read: {error.strerror or error}') from error
     if data.startswith(b'\x93NUMPY'):
-        return KnownExtrinsic(
-            _rigid(_load_npy(file), file), '4 x 4 array, taken as the pose of b in a')
+        try:
+            matrix = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+        except ValueError as error:
+            raise SourceError(f'{file} cannot be read as a NumPy array: {error}') from error
+        return KnownExtrinsic(_rigid(matrix, file), '4 x 4 array, taken as the pose of b in a')
     try:
         text = data.decode('utf-8-sig')
     except UnicodeDecodeError:
@@ -92,15 +83,9 @@ def read_extrinsic(
 
 
 def transform_of(text: str) -> FloatArray:
-    """Return the (4, 4) pose that a person gave: numbers, or a file that holds it.
+    """Return the (4, 4) pose that a person gave: a file, or numbers as ``parse_transform``.
 
-    Raises
-    ------
-    ConfigError
-        Neither a file nor six or seven numbers.
-    SourceError
-        The file holds no transform.
-
+    Raises ConfigError for numbers, SourceError for a file that hold no transform.
     """
     is_file = False
     # Too long for a name, or with a zero byte: no file.
@@ -112,21 +97,15 @@ def transform_of(text: str) -> FloatArray:
 def parse_transform(text: str) -> FloatArray:
     """Return the (4, 4) pose of six or seven numbers, separated by spaces or commas.
 
-    ``x y z roll pitch yaw`` (metres, radians, as in URDF) or ``x y z qx qy qz qw``.
-
-    Raises
-    ------
-    ConfigError
-        Other text.
-
+    ``x y z roll pitch yaw`` (metres, radians, as in URDF) or ``x y z qx qy qz qw``. Raises
+    ConfigError for other text.
     """
-    needed = 'x,y,z,roll,pitch,yaw (metres, radians, as in URDF) or x,y,z,qx,qy,qz,qw'
-    try:
-        values = np.array(re.split(r'[\s,]+', text.strip(' ,[]\t\n')), dtype=np.float64)
-    except ValueError:
-        raise ConfigError(f'transform {text!r}: needed {needed}') from None
+    values = numbers_of(text)
     if values.shape not in ((6,), (7,)) or not np.isfinite(values).all():
-        raise ConfigError(f'transform {text!r} has {values.size} numbers, needed {needed}')
+        found = f' has {values.size} numbers,' if values.size else ':'
+        raise ConfigError(
+            f'transform {text!r}{found} needed x,y,z,roll,pitch,yaw (metres, radians, as in URDF) '
+            'or x,y,z,qx,qy,qz,qw')
     if values.size == 6:
         return se3.from_rotation_translation(
             se3.rotation_from_roll_pitch_yaw(values[3:]), values[:3])
@@ -143,13 +122,6 @@ def _split(path: str) -> tuple[Path, str | None]:
     if mark and not Path(path).exists():
         return Path(file), key
     return Path(path), None
-
-
-def _load_npy(file: Path) -> FloatArray:
-    try:
-        return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-    except ValueError as error:
-        raise SourceError(f'{file} cannot be read as a NumPy array: {error}') from error
 
 
 def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
@@ -171,21 +143,17 @@ def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
 
 
 def _from_numbers(lines: list[str], file: Path) -> KnownExtrinsic:
-    try:
-        rows = [np.array(re.split(r'[\s,]+', line.strip('[], \t')), dtype=np.float64)
-                for line in lines]
-    except ValueError:
-        raise SourceError(f'{file} holds no transform; needed {FORMS}') from None
+    rows = list(map(numbers_of, lines))
     widths = [row.size for row in rows]
-    if widths == [8]:
-        return _from_row(rows[0][1:], file)
-    if widths in ([6], [7]):
-        return _from_row(rows[0], file)
-    if widths in ([16], [12]):
-        return KnownExtrinsic(_rigid(rows[0].reshape(-1, 4), file),
-                              'one row of a matrix, taken as the pose of b in a')
-    if widths in ([4] * 4, [4] * 3):
-        return KnownExtrinsic(_rigid(np.array(rows), file), 'matrix, taken as the pose of b in a')
+    if 0 in widths:
+        raise SourceError(f'{file} holds no transform; needed {FORMS}')
+    if widths in ([6], [7], [8]):
+        # Of eight the first is a stamp.
+        return _from_row(rows[0][widths == [8]:], file)
+    if widths in ([16], [12], [4] * 4, [4] * 3):
+        form = 'matrix' if rows[1:] else 'one row of a matrix'
+        return KnownExtrinsic(_rigid(np.concatenate(rows).reshape(-1, 4), file),
+                              f'{form}, taken as the pose of b in a')
     found = f'{counted(len(rows), "row")} of {widths[0]} numbers' if rows else 'no numbers'
     raise SourceError(f'{file} holds {found}, needed one transform: {FORMS}')
 
@@ -201,8 +169,7 @@ def _from_row(values: FloatArray, file: Path) -> KnownExtrinsic:
 def _from_urdf(
     tree: FrameTree, key: str | None, frame_a: str | None, frame_b: str | None,
 ) -> KnownExtrinsic:
-    links = set(tree.joints) | {joint.parent for joint in tree.joints.values()}
-    if key is None and frame_a and frame_b and {frame_a, frame_b} <= links:
+    if key is None and frame_a and frame_b and {frame_a, frame_b} <= tree.links:
         return KnownExtrinsic(tree.transform(frame_a, frame_b),
                               f'URDF, the pose of {frame_b} in {frame_a}')
     joints = {joint.name: joint for joint in tree.joints.values()}
@@ -236,10 +203,7 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
 
 
 def _values(text: str, count: int, name: str, file: Path) -> FloatArray:
-    try:
-        values = np.array(text.split(), dtype=np.float64)
-    except ValueError:
-        values = np.empty(0)
+    values = numbers_of(text)
     if values.size != count:
         raise SourceError(f'{file}: {name} has {values.size} numbers, needed {count}')
     return values
@@ -248,28 +212,24 @@ def _values(text: str, count: int, name: str, file: Path) -> FloatArray:
 def _from_mapping(
     data: Any, file: Path, key: str | None, frame_a: str | None, frame_b: str | None,
 ) -> KnownExtrinsic:
-    if isinstance(data, Mapping):
-        try:
-            if 'T_a_b' in data:
-                pose = data['T_a_b']
-                values = [*pose['translation'], *pose['rotation_xyzw']]
-                return KnownExtrinsic(
-                    _from_row(np.array(values, dtype=np.float64), file).T_a_b,
-                    f'saved result, the pose of {data.get("frame_b")} in {data.get("frame_a")}')
-            if 'T_parent_child' in data:
-                return KnownExtrinsic(
-                    _rigid(np.array(data['T_parent_child'], dtype=np.float64), file),
-                    f'export, the pose of {data.get("child")} in {data.get("parent")}')
-            cameras = {str(name): item for name, item in data.items()
-                       if isinstance(item, Mapping) and 'T_cn_cnm1' in item}
-            if cameras:
-                return _from_kalibr(cameras, file, key)
-            return _from_autoware(data, file, key, frame_a, frame_b)
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise SourceError(
-                f'{file} holds no transform ({in_words(error)}); needed {FORMS}'
-            ) from error
-    raise SourceError(f'{file} holds no transform; needed {FORMS}')
+    try:
+        if 'T_a_b' in data:
+            values = [*data['T_a_b']['translation'], *data['T_a_b']['rotation_xyzw']]
+            return KnownExtrinsic(
+                _from_row(np.array(values, dtype=np.float64), file).T_a_b,
+                f'saved result, the pose of {data.get("frame_b")} in {data.get("frame_a")}')
+        if 'T_parent_child' in data:
+            return KnownExtrinsic(
+                _rigid(np.array(data['T_parent_child'], dtype=np.float64), file),
+                f'export, the pose of {data.get("child")} in {data.get("parent")}')
+        cameras = {str(name): item for name, item in data.items()
+                   if isinstance(item, Mapping) and 'T_cn_cnm1' in item}
+        if cameras:
+            return _from_kalibr(cameras, file, key)
+        return _from_autoware(data, file, key, frame_a, frame_b)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise SourceError(
+            f'{file} holds no transform ({in_words(error)}); needed {FORMS}') from error
 
 
 def _from_kalibr(cameras: Mapping[str, Any], file: Path, key: str | None) -> KnownExtrinsic:

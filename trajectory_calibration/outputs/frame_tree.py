@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,14 +84,7 @@ class FrameTree:
 
     @classmethod
     def read(cls, path: Path) -> FrameTree:
-        """Read a URDF, or the part of one that ``export --as urdf`` wrote.
-
-        Raises
-        ------
-        SourceError
-            The file cannot be read, is no XML, or is a xacro with expressions.
-
-        """
+        """Read a URDF, or a part of one; raises SourceError, also for a xacro."""
         try:
             text = path.read_text(encoding='utf-8')
         except (OSError, ValueError) as error:
@@ -120,25 +114,20 @@ class FrameTree:
                               'must be expanded first (xacro FILE > robot.urdf)')
         return cls(path, {joint.child or joint.name: joint for joint in joints})
 
-    def parent_of(self, frame: str) -> str | None:
-        """Return the parent link of a link, or None."""
-        joint = self.joints.get(frame)
-        return None if joint is None else joint.parent
+    @property
+    def links(self) -> set[str]:
+        """Return the names of all frames."""
+        return set(self.joints) | {joint.parent for joint in self.joints.values()}
 
     def transform(self, parent: str, child: str) -> FloatArray:
         """Return the (4, 4) pose of one frame in another, along fixed joints.
 
-        Raises
-        ------
-        SourceError
-            A frame is missing, the two are not connected, or a joint between them moves.
-
+        Raises SourceError where a frame is missing, or no fixed joints connect the two.
         """
-        known = set(self.joints) | {joint.parent for joint in self.joints.values()}
         for frame in (parent, child):
-            if frame not in known:
+            if frame not in self.links:
                 raise SourceError(f'{self.path} has no link {frame}; it has '
-                                  f'{", ".join(sorted(known - {""}))}')
+                                  f'{", ".join(sorted(self.links - {""}))}')
         found = between(self.joints, parent, child)
         if found is None:
             roots = [list(upwards(self.joints, frame))[-1][0] for frame in (parent, child)]
@@ -153,27 +142,31 @@ class FrameTree:
 
 
 def _joint(item: ET.Element, path: Path) -> Edge:
-    origin = item.find('origin')
-    parent, child = item.find('parent'), item.find('child')
-    if parent is None or child is None:
+    ends = [found.get('link', '') for found in map(item.find, ('parent', 'child'))
+            if found is not None]
+    if len(ends) != 2:
         raise SourceError(f'{path}: joint {item.get("name")} has no parent or no child')
-    return Edge(
-        parent.get('link', ''), child.get('link', ''),
-        np.eye(4) if origin is None else _origin(origin, path),
-        item.get('type', 'fixed'), item.get('name', ''))
+    origin = item.find('origin')
+    return Edge(ends[0], ends[1], np.eye(4) if origin is None else _origin(origin, path),
+                item.get('type', 'fixed'), item.get('name', ''))
 
 
 def _origin(item: ET.Element, path: Path) -> FloatArray:
     values = []
     for name in ('xyz', 'rpy'):
         text = item.get(name, '0 0 0')
-        try:
-            numbers = np.array(text.split(), dtype=np.float64)
-        except ValueError:
-            numbers = np.empty(0)
-        if numbers.shape != (3,) or not np.isfinite(numbers).all():
+        found = numbers_of(text)
+        if found.shape != (3,) or not np.isfinite(found).all() or ',' in text:
             raise SourceError(f'{path}: {name}="{text}", needed 3 numbers; a xacro must be '
                               'expanded first (xacro FILE > robot.urdf)')
-        values.append(numbers)
+        values.append(found)
     return se3.from_rotation_translation(
         se3.rotation_from_roll_pitch_yaw(values[1]), values[0])
+
+
+def numbers_of(text: str) -> FloatArray:
+    """Return the numbers of a text, between spaces or commas; none where it holds other words."""
+    try:
+        return np.array(re.split(r'[\s,]+', text.strip(' ,[]\t\n')), dtype=np.float64)
+    except ValueError:
+        return np.empty(0)
