@@ -39,8 +39,8 @@ def verdict_box(result: CalibrationResult, rows: tuple[Row, ...], driven: str = 
     names = ', '.join(row.name for row in rows if _is_far(row))
     inside = filled(
         'box.html', a=a, b=b, sentence=escape(verdict.sentence),
-        far=f' <span class="unknown">Error beyond {_FAR:g} σ in {names}: is the ground truth of '
-        'these frames?</span>' if names else '',
+        far=f' <span class="unknown">Error beyond {_FAR:g} σ in {names}: does the ground '
+        'truth belong to these frames?</span>' if names else '',
         with_truth=' with-truth' if has_truth else '',
         error='<th scope="col" class="num">error</th><th scope="col" class="num">in σ</th>'
         if has_truth else '',

@@ -54,18 +54,18 @@ def _tracks(data: ReportData) -> str:
 def _motion(data: ReportData) -> str:
     result, need = data.result, data.need_deg
     status = result.observability.status
-    reading = 'The need cannot be told without a covariance.'
+    reading = 'Without a covariance, the needed rotation is not known.'
     if need is not None:
         enough = sum(value >= need for value in result.observability.excitation_deg)
-        reading = (f'{enough} of 3 axes reach the need of {need:.2g} deg; at least 2 must, '
+        reading = (f'Axes with the needed {need:.2g} deg: {enough} of 3; at least 2 are needed, '
                    'because a rotation says nothing about the translation along its own axis.')
     key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
     growth = data.parts.growth_std
-    gain = 'The drive is too short to tell.'
+    gain = 'The drive is too short for this figure.'
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
         ratio = np.nanmedian(growth[len(growth) // 2] / np.maximum(growth[-1], 1e-300))
-        gain = (f'The second half of the drive improved the deviations {ratio:.2g} times '
-                '(more of the same motion: 1.4 times).')
+        gain = (f'The second half of the drive made the deviations {ratio:.2g} times smaller '
+                '(1.4 is usual for more of the same motion).')
     unknown = np.zeros((6, 6))
     figures = (
         figure('motion', draw.rotation_by_axis(data), reading)
@@ -128,7 +128,7 @@ def _residuals(data: ReportData) -> str:
         f'{100 * np.mean(np.abs(z) > 3):.2g} % beyond 3 ({100 * _NORMAL_TAIL:.1g} % expected).',
         legend=legend(('a', 'translation'), ('b', 'rotation'), ('noise', 'normal distribution')))
     for kind, part in enumerate(('Translation', 'Rotation')):
-        reading, median = 'The drive is too short to tell.', found.by_scale[:, kind, 2]
+        reading, median = 'The drive is too short for this figure.', found.by_scale[:, kind, 2]
         if len(median):
             reading = 'Median ' + ', '.join(
                 f'{median[end]:.2g} {"deg" if kind else "m"} over {found.scales_s[end]:g} s'
@@ -148,7 +148,7 @@ def _clocks(data: ReportData) -> str:
         applied += f', and a drift of {1e6 * result.clock_drift:+.1f} ppm'
     figures = figure(
         'rates', draw.rates(clocks), f'The {clocks.seconds[-1] - clocks.seconds[0]:.0f} s '
-        f'with the most turning; {applied}.',
+        f'with the most rotation; {applied}.',
         legend=legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}')))
     if len(clocks.offsets_s):
         best = int(np.argmax(clocks.correlation))
@@ -159,8 +159,8 @@ def _clocks(data: ReportData) -> str:
     gaps = len(clocks.spans_a) + len(clocks.spans_b) - 2
     figures += figure(
         'times', draw.gap_strip(clocks),
-        f'{counted(gaps, "gap")}; {result.poses} pose pairs of {result.association.poses_a} '
-        f'poses of a and {result.association.poses_b} of b.')
+        f'{counted(gaps, "gap")}; {result.poses:,} pose pairs of {result.association.poses_a:,} '
+        f'poses of a and {result.association.poses_b:,} of b.')
     if len(scale.seconds):
         figures += figure(
             'scale', draw.scale_over_path(scale), f'Scale of b {result.scale:.6g}; it varies by '
