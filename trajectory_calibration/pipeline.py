@@ -21,6 +21,7 @@ from trajectory_calibration.assessment.prior_update import apply_prior, contradi
 from trajectory_calibration.assessment.reference_selection import choose_reference
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, worst_first
+from trajectory_calibration.data.held import without_held
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
@@ -74,11 +75,12 @@ def calibrate(
     config = config or CalibrationConfig()
     solve: Solver = load_solver(config.solver)
     recording = recording_of(trajectory_a, trajectory_b)
-    trajectory_b = trajectory_b.scaled(config.scale)
+    trajectory_a, held_a = without_held(trajectory_a)
+    trajectory_b, held_b = without_held(trajectory_b.scaled(config.scale))
     check_orientations(trajectory_a, trajectory_b, config)
     clock, pairs = match(trajectory_a, trajectory_b, config)
     # A camera without scale may be as fast as it likes: the unit of b is found.
-    doubts = (*time_doubts(trajectory_a), *time_doubts(trajectory_b),
+    doubts = (*held_a, *held_b, *time_doubts(trajectory_a), *time_doubts(trajectory_b),
               *position_doubts(trajectory_a))
     matched = (*association_findings(pairs, trajectory_a, trajectory_b),
                *clock.findings(config.time_offset, trajectory_b.sensor_frame,

@@ -39,6 +39,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'other': ('warning', 'a finding of another version, or of a solver from another package'),
     'pose-jumps': ('note', 'pose jumps were found and excluded'),
     'position-latency': ('note', 'the position of one sensor is late; corrected'),
+    'poses-held': ('note', 'poses that repeat an old measurement were dropped'),
     'poses-identical': ('serious', 'both sensors report the same poses'),
     'poses-lost': ('note', 'poses that the SLAM wrote while it was lost were dropped'),
     'prior-contradicts': ('serious', 'the prior is far from what the motion says'),

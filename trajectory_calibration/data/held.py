@@ -1,0 +1,83 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that repeat an old measurement under a new stamp.
+
+A receiver of GNSS gives one position a second, its INS writes a hundred poses a second with it; a
+SLAM at 5 Hz is published again at 20 Hz; a receiver in a tunnel repeats its last position. Such
+rows are old, by half a second and more, and a solver takes them for motion: the lever arm comes
+out wrong by metres. A vehicle that stands still repeats its pose too. What follows tells them
+apart: who stood still moves on with a step, what was held jumps to where the vehicle went.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# The share of the fresh rows that stand between repeated ones where a slow sensor is repeated,
+# and of those in which the coordinate that changes most often changes: rounded ones do by turns.
+_ALONE, _TOGETHER = 0.8, 0.9
+_FEWEST_FRESH = 10
+# After a pause of more rows than this, a step that is so many times the usual one, and the one
+# after it, is a jump.
+_PAUSE = 2
+_JUMP = 5.0
+
+
+def without_held(trajectory: Trajectory) -> tuple[Trajectory, tuple[Finding, ...]]:
+    """Return the trajectory without the rows that repeat an old position or orientation.
+
+    Itself where there are none. The finding says how many were dropped.
+    """
+    turns = np.linalg.norm(trajectory.turns, axis=1)
+    steps = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    same_turn = (np.diff(trajectory.rotations, axis=0) == 0).all(axis=(1, 2))
+    held = {
+        'position': _held(trajectory.positions, steps, steps == 0),
+        'orientation': _held(
+            se3.rotation_to_quaternion(trajectory.rotations), turns, same_turn)}
+    drop = np.logical_or(*held.values())
+    count = int(np.count_nonzero(drop))
+    if not count or len(trajectory) - count < 2:
+        return trajectory, ()
+    what = ' and '.join(f'{name}s' for name, rows in held.items() if rows.any())
+    keep = ~drop
+    kept = Trajectory(trajectory.stamps_ns[keep], trajectory.poses[keep], trajectory.world_frame,
+                      trajectory.sensor_frame, trajectory.findings)
+    return kept, (Finding(
+        'poses-held',
+        f'{trajectory.sensor_frame}: {count:,} of {len(trajectory):,} poses repeat old {what} '
+        'while it moves: dropped. Record each measurement once, with its own stamp',
+        {'poses': count}),)
+
+
+def _held(values: FloatArray, steps: FloatArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell which of (N, K) rows repeat an old value.
+
+    ``steps`` are the (N - 1,) distances from row to row, ``same`` whether a row repeats the one
+    before.
+    """
+    repeats = np.concatenate([[False], same])
+    fresh = np.flatnonzero(~repeats)
+    if not same.any() or len(fresh) < 2:
+        return np.zeros(len(repeats), dtype=bool)
+    after = np.concatenate([repeats[1:], [True]])
+    alone = repeats[fresh - 1] & after[fresh]
+    changes = np.diff(values[fresh], axis=0) != 0
+    if len(fresh) >= _FEWEST_FRESH and alone[1:-1].mean() > _ALONE and (
+            changes.mean(axis=0).max() > _TOGETHER):
+        return repeats
+    # Pauses that end with a jump.
+    on_its_way = ~same & ~repeats[:-1]
+    usual = float(np.median(steps[on_its_way])) if on_its_way.any() else 0.0
+    held = np.zeros(len(repeats), dtype=bool)
+    following = np.append(steps, 0.0)
+    for k in np.flatnonzero(np.diff(fresh) > _PAUSE):
+        last, row = fresh[k], fresh[k + 1]
+        held[last + 1:row] = steps[row - 1] > _JUMP * max(usual, following[row])
+    return held
