@@ -97,7 +97,7 @@ def test_numbers_of_numpy_serve_and_become_plain(value):
     assert type(config.max_gap) is float
     assert config.max_gap == value
     assert json.loads(json.dumps(config.to_dict()))['max_gap'] == value
-    assert type(Option('n', int, 1, 'a count').check(np.int32(3))) is int
+    assert type(Option('n', 1, 'a count').check(np.int32(3))) is int
 
 
 def test_a_word_of_numpy_becomes_plain():
@@ -111,7 +111,7 @@ def test_what_is_no_number_is_refused(value):
     with pytest.raises(ConfigError, match='solver is an integer of too many digits'):
         CalibrationConfig(solver=10**5000)
     with pytest.raises(ConfigError, match=r'n is 1\.5, needed a value of type int'):
-        Option('n', int, 1, 'a count').check(1.5)
+        Option('n', 1, 'a count').check(1.5)
 
 
 def test_a_value_that_is_given_is_known():

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Advice is the answer: what it predicts, what it costs, and what a driver reads."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online import background
 from trajectory_calibration.online.advice import Advice, AdviceJob
-from trajectory_calibration.online.background import Background, Budget, Situation
+from trajectory_calibration.online.background import Background, Budget
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.motion import measure, NO_MOTION
 from trajectory_calibration.online.session import CalibrationSession
@@ -196,9 +198,9 @@ def scene(monkeypatch):
     return Background(session, lambda: None, -10.0), session
 
 
-def situation(session, check=None, **settings):
-    return Situation(measure(session.buffers, (0, 0)), CalibrationConfig(**settings),
-                     ('', ''), 60.0, lambda: check)
+def poll(worker, session, now_s, **settings):
+    worker.poll(measure(session.buffers, (0, 0)), CalibrationConfig(**settings), ('', ''), 60.0,
+                now_s)
 
 
 @pytest.mark.parametrize('cost_s', [0.5, 5.0, 20.0])
@@ -210,7 +212,7 @@ def test_it_takes_three_percent_of_a_core_and_a_credit(scene, monkeypatch, cost_
         for buffer, track in zip(session.buffers, tracks, strict=True):
             for k in range(2 * second, 2 * second + 2):
                 buffer.append(int(track.stamps_ns[k]), ('map', 's'), tuple(track.poses[k]))
-        worker.poll(situation(session), float(second))
+        poll(worker, session, float(second))
         worker.take(second + 0.5)
     jobs = worker._process.jobs
     assert len(jobs) >= 2
@@ -223,16 +225,16 @@ def test_a_new_setting_asks_anew_at_once_and_the_same_does_not(scene):
     for buffer, track in zip(session.buffers, drive(30), strict=True):
         buffer.replace(track.stamps_ns, track.poses, ('map', 's'))
     for now_s in (0.0, 3.0, 6.0):
-        worker.poll(situation(session), now_s)
+        poll(worker, session, now_s)
         worker.take(now_s)
     assert len(worker._process.jobs) == 1
-    worker.poll(situation(session, **HEIGHT), 9.0)
+    poll(worker, session, 9.0, **HEIGHT)
     assert len(worker._process.jobs) == 2
     worker.take(9.0)
     assert worker.advice is Process.outcome
     worker.reset()
     assert worker.advice is None
-    worker.poll(situation(session), 12.0)
+    poll(worker, session, 12.0)
     assert len(worker._process.jobs) == 3
 
 
@@ -240,11 +242,11 @@ def test_what_was_stopped_for_a_call_is_asked_again(scene):
     worker, session = scene
     for buffer, track in zip(session.buffers, drive(30), strict=True):
         buffer.replace(track.stamps_ns, track.poses, ('map', 's'))
-    worker.poll(situation(session), 0.0)
+    poll(worker, session, 0.0)
     worker.stop('a calibration was called for')
     assert worker.take(1.0) is None
     worker._process.outcome = Advice(failure='x')
-    worker.poll(situation(session), 4.0)
+    poll(worker, session, 4.0)
     assert worker.take(5.0) is worker.advice
     assert len(worker._process.jobs) == 2
 
@@ -253,7 +255,7 @@ def test_too_little_motion_starts_nothing(scene):
     worker, session = scene
     for buffer, track in zip(session.buffers, drive(4), strict=True):
         buffer.replace(track.stamps_ns, track.poses, ('map', 's'))
-    worker.poll(situation(session), 0.0)
+    poll(worker, session, 0.0)
     assert not worker._process.jobs
 
 
@@ -262,11 +264,12 @@ def test_a_process_that_fails_is_advice_or_a_verdict(scene):
     for buffer, track in zip(session.buffers, drive(30), strict=True):
         buffer.replace(track.stamps_ns, track.poses, ('map', 's'))
     worker._process.outcome = SolverError('no memory')
-    worker.poll(situation(session), 0.0)
+    poll(worker, session, 0.0)
     worker.take(0.0)
     assert worker.advice.failure == 'no memory'
     check = MonitorJob(None, None, None, None)
-    worker.poll(situation(session, check), 3.0)
+    worker.monitor = SimpleNamespace(job=lambda *_: check)
+    poll(worker, session, 3.0)
     worker.take(3.0)
     assert worker.verdict.sentence == 'cannot tell: no memory'
 

@@ -12,7 +12,7 @@ import pytest
 from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe, headline, summary
-from trajectory_calibration.online.restoring import Restored
+from trajectory_calibration.online.store import Restored
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 

@@ -43,8 +43,7 @@ def test_the_parameter_file_holds_every_parameter_with_its_default():
 def test_every_option_has_a_range_or_is_free_text():
     for option in options.OPTIONS.values():
         if option.kind in (int, float):
-            assert option.minimum is not None and option.maximum is not None, option.name
-            assert math.isfinite(option.minimum) and math.isfinite(option.maximum)
+            assert math.isfinite(option.minimum) and math.isfinite(option.maximum), option.name
         assert option.check(option.default) == option.default
 
 

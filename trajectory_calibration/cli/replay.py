@@ -47,14 +47,12 @@ def run(arguments: argparse.Namespace) -> int:
         check_values,
         find_frames,
         find_type,
-        is_foreign,
         to_config,
         to_limits,
     )
     from trajectory_calibration.online.session import CalibrationSession
     from trajectory_calibration.sources.bags import open_bags
-    given = _read_parameters(arguments.params_file, arguments.param)
-    values = check_values({name: given[name] for name in given if not is_foreign(name)})
+    values = check_values(_read_parameters(arguments.params_file, arguments.param))
     topic_a, topic_b = (
         values[name] if find_frames(values[name]) else f'/{values[name].lstrip("/")}'
         for name in ('topic_a', 'topic_b'))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from math import inf
 from numbers import Integral, Real
 from typing import Any
 
@@ -29,26 +30,22 @@ from trajectory_calibration.solvers import (
 class Option:
     """One field of a configuration, as the command line and the node need it.
 
-    Attributes
-    ----------
-    name : the field's name.
-    kind : str, float, int or bool.
-    default : its default.
-    help : one sentence, with the unit.
-    minimum, maximum : the closed range of a number, or None.
-    choices : the valid words, or empty.
-    extensible : whether other packages add to the choices.
-
+    ``help`` is one sentence with the unit. A number has a closed range, a word its choices, to
+    which other packages add where it is ``extensible``.
     """
 
     name: str
-    kind: type
     default: Any
     help: str
-    minimum: float | None = None
-    maximum: float | None = None
+    minimum: float = -inf
+    maximum: float = inf
     choices: tuple[str, ...] = ()
     extensible: bool = False
+
+    @property
+    def kind(self) -> type:
+        """Return str, float, int or bool: the type of the default."""
+        return type(self.default)
 
     def check(self, value: Any) -> Any:
         """Return the value in this option's type; raise ConfigError where it does not fit.
@@ -61,7 +58,7 @@ class Option:
             raise ConfigError(f'{self.name} is an integer of too many digits')
         number = {float: Real, int: Integral}.get(self.kind)
         if number is not None and isinstance(value, number) and not isinstance(value, bool):
-            value = self._convert(value)
+            value = self.kind(value)
         elif (self.kind is str and isinstance(value, (str, Real))
               and not isinstance(value, bool)):
             value = str(value)
@@ -71,23 +68,15 @@ class Option:
         if self.choices and not self.extensible and value not in self.choices:
             raise ConfigError(
                 f'{self.name} {value!r} is unknown; needed one of {", ".join(self.choices)}')
-        if isinstance(value, (int, float)):
-            low = -float('inf') if self.minimum is None else self.minimum
-            high = float('inf') if self.maximum is None else self.maximum
-            # Written so that NaN fails.
-            if not low <= value <= high:
-                raise ConfigError(f'{self.name} is {value}, needed {low:g} to {high:g}')
+        # Written so that NaN fails.
+        if isinstance(value, (int, float)) and not self.minimum <= value <= self.maximum:
+            raise ConfigError(
+                f'{self.name} is {value}, needed {self.minimum:g} to {self.maximum:g}')
         return value
 
-    def _convert(self, number: Any) -> Any:
-        try:
-            return self.kind(number)
-        except OverflowError as error:
-            raise ConfigError(f'{self.name} is an integer of too many digits: {error}') from error
 
-
-def _option(default: Any, text: str, **limits: Any) -> Any:
-    return field(default=default, metadata={'help': text, **limits})
+def _option(default: Any, text: str, *limits: float, **words: Any) -> Any:
+    return field(default=default, metadata={'told': (default, text, *limits), 'words': words})
 
 
 # The solvers that find a scale and a drift, for the help texts.
@@ -116,38 +105,33 @@ class CalibrationConfig:
     association: str = _option(
         'auto', 'how poses of a and b are paired in time. interpolate: a is interpolated at the '
         'stamps of b; nearest: no interpolation; auto: the sensor with more poses a second is '
-        'interpolated, unless most stamps coincide',
-        choices=METHODS)
+        'interpolated, unless most stamps coincide', choices=METHODS)
     max_gap: float = _option(
-        0.5, 'longest gap between two poses that are interpolated, seconds',
-        minimum=0.0, maximum=3600.0)
+        0.5, 'longest gap between two poses that are interpolated, seconds', 0.0, 3600.0)
     max_time_difference: float = _option(
         0.02, 'largest time between the two poses of a pair with nearest, seconds',
-        minimum=0.0, maximum=3600.0)
+        0.0, 3600.0)
     time_offset: float = _option(
         0.0, 'added to the stamps of b, seconds; where the search starts, unless '
-        'time_offset_mode is fixed', minimum=-4e9, maximum=4e9)
+        'time_offset_mode is fixed', -4e9, 4e9)
     time_offset_mode: str = _option(
         'auto', f'fixed: time_offset is used; {_MODES}. Unless fixed, clock drift is corrected, '
         'too', choices=MODES)
     max_time_offset: float = _option(
-        5.0, 'the search goes this far from time_offset, seconds; 0: no search',
-        minimum=0.0, maximum=3600.0)
+        5.0, 'the search goes this far from time_offset, seconds; 0: no search', 0.0, 3600.0)
     scale: float = _option(
-        1.0, 'metres of a per metre of b; the positions of b are multiplied by it',
-        minimum=1e-6, maximum=1e6)
+        1.0, 'metres of a per metre of b; the positions of b are multiplied by it', 1e-6, 1e6)
     scale_mode: str = _option(
         'auto', f'fixed: scale is used; {_MODES}, unless scale is not 1. Only {_FINDS_SCALE} '
-        'estimates it',
-        choices=MODES)
+        'estimates it', choices=MODES)
     systematic_drift_mode: str = _option(
         'auto', 'constant drift of b per metre along its axes. fixed: none; '
         f'{_MODES}. Only {_FINDS_DRIFT} estimates it', choices=MODES)
     dnlo_c: float = _option(
         0.01, 'cost c of rejecting a motion (dnlo): a motion with a larger squared residual is an '
-        'outlier', minimum=0.0, maximum=1e6)
+        'outlier', 0.0, 1e6)
     dnlo_min_inliers: float = _option(
-        0.5, 'smallest share d of the motions that dnlo keeps', minimum=0.0, maximum=1.0)
+        0.5, 'smallest share d of the motions that dnlo keeps', 0.0, 1.0)
     dnlo_method: str = _option(
         'auto', 'how dnlo minimises; auto chooses by the number of motions',
         choices=('auto', 'ipopt', 'path', 'alternating'))
@@ -167,16 +151,16 @@ class CalibrationConfig:
         'unobservable directions; these stay marked')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is called weak, '
-        'metres', minimum=0.0, maximum=1e3)
+        'metres', 0.0, 1e3)
     weak_rotation: float = _option(
         0.5, 'standard deviation above which a direction of the rotation is called weak, degrees',
-        minimum=0.0, maximum=180.0)
+        0.0, 180.0)
     unobserved_translation: float = _option(
         0.5, 'standard deviation above which a direction of the translation is called '
-        'unobserved, metres', minimum=0.0, maximum=1e3)
+        'unobserved, metres', 0.0, 1e3)
     unobserved_rotation: float = _option(
         5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
-        'degrees', minimum=0.0, maximum=180.0)
+        'degrees', 0.0, 180.0)
 
     input_checks: bool = _option(
         default=True, text='refuse trajectories that cannot be of one vehicle: inverted poses, '
@@ -219,7 +203,7 @@ class CalibrationConfig:
     def options(cls) -> Iterator[Option]:
         """Yield every field with its type, default, help and limits."""
         for item in fields(cls):
-            yield Option(item.name, type(item.default), item.default, **item.metadata)
+            yield Option(item.name, *item.metadata['told'], **item.metadata['words'])
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> CalibrationConfig:

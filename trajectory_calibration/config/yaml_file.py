@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import errno
 from io import StringIO
 import math
 import os
@@ -95,14 +94,11 @@ def number(value: float) -> str:
 
 def quoted(text: str) -> str:
     """Return a text in double quotes, as YAML 1.1 and 1.2 both read it."""
-    escaped = text.replace('\\', '\\\\').replace('"', '\\"')
-    return f'"{"".join(c if c.isprintable() else _escape(c) for c in escaped)}"'
-
-
-def _escape(character: str) -> str:
-    code = ord(character)
-    return f'\\x{code:02x}' if code < 0x100 else (
-        f'\\u{code:04x}' if code < 0x10000 else f'\\U{code:08x}')
+    # The escapes of Python are escapes of YAML, too.
+    escaped = ''.join(
+        character if character.isprintable() and character != '\\' else
+        character.encode('unicode_escape').decode() for character in text)
+    return '"' + escaped.replace('"', '\\"') + '"'
 
 
 def _is_plain(text: str) -> bool:
@@ -128,20 +124,20 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         The file cannot be written.
 
     """
-    created = False
     try:
         temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
         # Not through ``tempfile``, whose files are private: the kernel gives this one the
         # permissions of any new file of this user.
         with temporary.open('x', encoding='utf-8') as stream:
-            created = True
-            if not overwrite:
-                _require_absent(path)
-            stream.write(to_yaml(data))
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        created = False
+            try:
+                if overwrite or not os.path.lexists(path):
+                    stream.write(to_yaml(data))
+                    stream.flush()
+                    os.fsync(stream.fileno())
+                    temporary.replace(path)
+                    return
+            finally:
+                temporary.unlink(missing_ok=True)
     except FileExistsError:
         raise
     except OSError as error:
@@ -149,14 +145,7 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
     except ValueError as error:
         # A path without a name, or with a zero byte in it.
         raise ResultError(f'{str(path)!r} cannot be written: {error}') from error
-    finally:
-        if created:
-            temporary.unlink(missing_ok=True)
-
-
-def _require_absent(path: Path) -> None:
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+    raise FileExistsError(path)
 
 
 def make_folder(path: Path, error: type[CalibrationError]) -> None:
@@ -167,8 +156,9 @@ def make_folder(path: Path, error: type[CalibrationError]) -> None:
         raise error(f'{path} cannot be made: {cause.strerror or cause}') from cause
 
 
-def write_text(path: Path, text: str, error: type[CalibrationError]) -> None:
-    """Write UTF-8 over what is at ``path``; raise ``error`` where it cannot be written."""
+def write_text(path: Path, text: str, error: type[CalibrationError] = ResultError) -> None:
+    """Write UTF-8 over what is at ``path``, in a folder that is made where there is none."""
+    make_folder(path.parent, error)
     try:
         path.write_text(text, encoding='utf-8')
     except OSError as cause:

@@ -32,28 +32,18 @@ _HOPELESS = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """What a calibration of the poses held so far says.
-
-    Attributes
-    ----------
-    result : its result, None where it failed.
-    failure : why it failed, '' where it did not.
-    missing : (3,) unit vector in a: the direction of the translation that the result may leave
-        open, None where there is none.
-
-    """
+    """What a calibration of the poses held so far says, or why it failed."""
 
     result: CalibrationResult | None = None
     failure: str = ''
+    # (3,) unit vector in a: the direction of the translation that the result may leave open.
     missing: FloatArray | None = None
 
     @property
     def std(self) -> FloatArray | None:
         """Return (6,) standard deviations, metres and degrees, or None."""
         std = None if self.result is None else self.result.std
-        if std is None:
-            return None
-        return np.concatenate([std[:3], np.rad2deg(std[3:])])
+        return None if std is None else np.concatenate([std[:3], np.rad2deg(std[3:])])
 
     def sufficient(self, translation_limit: float, rotation_limit_deg: float) -> bool:
         """Return whether what is asked for is within the limits, metres and degrees."""
@@ -62,10 +52,10 @@ class Advice:
 
     def sentence(self, translation_limit: float, rotation_limit_deg: float) -> str:
         """Return one sentence for the driver."""
-        ratios = self._ratios(translation_limit, rotation_limit_deg)
-        if self.result is None or ratios is None:
+        ratios, std, result = (
+            self._ratios(translation_limit, rotation_limit_deg), self.std, self.result)
+        if ratios is None or std is None or result is None:
             return f'drive on: a calibration would fail now: {self.failure}'
-        result = self.result
         if (ratios <= 1.0).all():
             left_out = ('' if self.missing is None else
                         f'; translation along {axis_name(self.missing)} of {result.frame_a} '
@@ -75,10 +65,8 @@ class Advice:
         name = DEGREES_OF_FREEDOM[worst]
         direction = f'{"translation along" if worst < 3 else "rotation about"} {name[-1]}'
         limit, unit = (translation_limit, 'm') if worst < 3 else (rotation_limit_deg, 'deg')
-        std = self.std
-        unknown = (std is None or name in result.observability.unobserved
-                   or ratios[worst] > _HOPELESS)
-        known = ('is not determined' if unknown or std is None else
+        unknown = name in result.observability.unobserved or ratios[worst] > _HOPELESS
+        known = ('is not determined' if unknown else
                  f'has a standard deviation of {std[worst]:.2g} {unit}')
         return (f'{_manoeuvre(worst, result)}: {direction} of {result.frame_a} {known}, '
                 f'needed {limit:g} {unit}')
@@ -106,13 +94,12 @@ class AdviceJob:
 
     def run(self) -> Advice:
         """Calibrate; what fails is advice, too."""
-        tracks = self.track_a, self.track_b
         # A reference by number counts poses: thinned, it would be another one.
-        if self.config.reference == 'auto':
-            tracks = tracks[0].thinned(), tracks[1].thinned()
+        a, b = (track.thinned() if self.config.reference == 'auto' else track
+                for track in (self.track_a, self.track_b))
         config = replace(self.config, allow_unobserved=True)
         try:
-            result = calibrate(tracks[0].trajectory(), tracks[1].trajectory(), config)
+            result = calibrate(a.trajectory(), b.trajectory(), config)
         except CalibrationError as error:
             return Advice(failure=str(error))
         if result.covariance is None:
@@ -131,15 +118,14 @@ def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray
 
 def _manoeuvre(worst: int, result: CalibrationResult) -> str:
     """Return what to drive, or to give, for the worst component."""
-    frame = result.frame_a
     turned = np.array(result.observability.excitation_deg)
     weakest, middle, most = np.argsort(turned)
     if turned[most] and turned[middle] <= _SINGLE * turned[most]:
         if worst == most:
-            return (f'drive a ramp or a bank, or give prior_translation along {"xyz"[most]} of '
-                    f'{frame}')
+            return ('drive a ramp or a bank, or give prior_translation along '
+                    f'{"xyz"[most]} of {result.frame_a}')
         if worst == 3 + most:
             return 'drive farther, not on the spot, and curves both ways'
     if not turned[most]:
         return 'drive curves, and a ramp or a bank'
-    return f'turn more about {"xyz"[weakest]} of {frame}'
+    return f'turn more about {"xyz"[weakest]} of {result.frame_a}'

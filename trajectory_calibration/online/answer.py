@@ -34,13 +34,7 @@ def deviations(result: CalibrationResult) -> str:
 def describe(result: CalibrationResult, *notes: str) -> str:
     """Return the extrinsic and how good it is, one thing a line, the last line JSON.
 
-    Parameters
-    ----------
-    result : CalibrationResult
-        To describe.
-    *notes : str
-        Sentences about what became of it: its file, TF; '' is left out.
-
+    The notes say what became of it: its file, TF; '' is left out.
     """
     lines = [headline(result)]
     if result.covariance is not None:

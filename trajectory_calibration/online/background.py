@@ -9,7 +9,6 @@ is other work to do. A call of ``~/calibrate`` goes first and stops it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError
@@ -17,7 +16,7 @@ from trajectory_calibration.fleet.verification import CANNOT_TELL
 from trajectory_calibration.online.advice import Advice, AdviceJob, FEWEST_S
 from trajectory_calibration.online.motion import Motion, NO_MOTION
 from trajectory_calibration.online.session import CalibrationSession
-from trajectory_calibration.online.verification import MonitorJob, Verdict
+from trajectory_calibration.online.verification import Monitor, MonitorJob, Verdict
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 
 # Share of one core that all of it may take in the long run, and CPU seconds that may be spent
@@ -48,44 +47,15 @@ class Budget:
         self._credit_s -= cpu_s
 
 
-@dataclass(frozen=True, eq=False)
-class Situation:
-    """What the background looks at once a second.
-
-    Attributes
-    ----------
-    motion : held in the buffers.
-    config, frames : how a calibration would be made now.
-    check : called where there is time for it, returns the check of the published answer that is
-        due, or None.
-
-    """
-
-    motion: Motion
-    config: CalibrationConfig
-    frames: tuple[str, str]
-    timeout_s: float
-    check: Callable[[], MonitorJob | None] = lambda: None
-
-
 class Background:
-    """Runs advice and monitoring of one session.
+    """Runs advice of one session and the checks of a monitor, and holds what they said last.
 
-    Parameters
-    ----------
-    done : callable
-        Called from another thread when ``take`` has something to take.
-
-    Attributes
-    ----------
-    advice : of the last calibration for advice, None before the first since a reset.
-    verdict : of the last check of the published answer, None before the first.
-
+    ``done`` is called from another thread when ``take`` has something to take.
     """
 
     def __init__(self, session: CalibrationSession, done: Callable[[], None], now_s: float,
-                 ) -> None:
-        self._session = session
+                 monitor: Monitor | None = None) -> None:
+        self._session, self.monitor = session, monitor
         self._process: SolverProcess[Advice | Verdict] = SolverProcess(done)
         self._budget = Budget(now_s)
         self._ended_s = now_s
@@ -96,24 +66,28 @@ class Background:
         self.advice: Advice | None = None
         self.verdict: Verdict | None = None
 
-    def poll(self, now: Situation, now_s: float) -> None:
+    def poll(self, motion: Motion, config: CalibrationConfig, frames: tuple[str, str],
+             timeout_s: float, now_s: float) -> None:
         """Start what is due; once a second or so."""
-        settings = now.config, now.frames
-        if not now.motion.continues(self._advised):
+        settings = config, frames
+        if not motion.continues(self._advised):
             # What was advised before is about other poses.
             self.advice, self._advised = None, NO_MOTION
         if (self._process.busy or not self._budget.allows(now_s)
                 or now_s - self._ended_s < _SHORTEST_PAUSE_S):
             return
-        more = now.motion.since(self._advised) >= max(1.0, _MORE_MOTION * len(self._advised))
-        if len(now.motion) >= FEWEST_S and (more or settings != self._settings):
-            self._advised, self._settings = now.motion, settings
-            track_a, track_b = self._session.tracks(now.frames)
-            self._start(AdviceJob(track_a, track_b, now.config), now.timeout_s)
-            return
-        check = now.check()
-        if check is not None:
-            self._start(check, now.timeout_s)
+        more = motion.since(self._advised) >= max(1.0, _MORE_MOTION * len(self._advised))
+        job: AdviceJob | MonitorJob | None
+        if len(motion) >= FEWEST_S and (more or settings != self._settings):
+            self._advised, self._settings = motion, settings
+            track_a, track_b = self._session.tracks(frames)
+            job = AdviceJob(track_a, track_b, config)
+        else:
+            job = (self.monitor.job(self._session, frames, config, now_s)
+                   if self.monitor else None)
+        if job is not None:
+            self._monitoring = isinstance(job, MonitorJob)
+            self._process.start(job, timeout_s)
 
     def take(self, now_s: float) -> Advice | Verdict | None:
         """Take what the process found; None where it was stopped."""
@@ -148,7 +122,3 @@ class Background:
     def shutdown(self) -> None:
         """Stop whatever runs and wait for its end."""
         self._process.shutdown()
-
-    def _start(self, job: AdviceJob | MonitorJob, timeout_s: float) -> None:
-        self._monitoring = isinstance(job, MonitorJob)
-        self._process.start(job, timeout_s)

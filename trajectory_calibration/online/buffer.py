@@ -13,7 +13,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.trajectory import pose_faults
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.refusal import fault_of, OF_MESSAGES, PoseTuple, Refusal
@@ -38,18 +37,7 @@ _NO_FRAMES = ('', '')
 
 @dataclass(frozen=True)
 class BufferLimits:
-    """How much a buffer keeps.
-
-    Attributes
-    ----------
-    max_poses : poses; the oldest leave first.
-    max_age_s : seconds between the oldest and the newest pose.
-    still_after_s : seconds without motion after which a sensor stands still; from then on only
-        the newest pose of the standstill is kept.
-    still_distance, still_angle_deg : metres and degrees; less is no motion. With a distance of 0
-        everything is motion.
-
-    """
+    """How much a buffer keeps; the options of these names say what each limit is."""
 
     max_poses: int = 100_000
     max_age_s: float = 28_800.0
@@ -61,20 +49,9 @@ class BufferLimits:
 class PoseBuffer:
     """The newest poses of one sensor, in order, in arrays that do not grow beyond a bound.
 
-    A bad pose is counted and refused, never an error: a vehicle keeps driving.
-
-    Attributes
-    ----------
-    received : messages since the start.
-    still : poses dropped because the sensor stood still.
-    clock_jumps : times the clock went back and the buffer started anew.
-    frame_changes : times poses held gave way to poses in other frames.
-    frames_before : the frames of those that gave way last.
-    forgotten : poses that it held when the clock went back, or other frames were believed.
-    refused : count of refused poses for each Refusal.
-    frames : of the messages held.
-    generation : changes whenever poses were forgotten other than by age or number.
-
+    A bad pose is counted and refused, never an error: a vehicle keeps driving. ``forgotten``
+    counts the poses held when the clock went back or other frames were believed; ``generation``
+    changes whenever poses were forgotten other than by age or number.
     """
 
     def __init__(self, limits: BufferLimits) -> None:
@@ -90,10 +67,9 @@ class PoseBuffer:
     def clear(self) -> None:
         """Forget all poses, frames and counts."""
         self._received_before = self.received
+        # Poses dropped because the sensor stood still.
         self.still = 0
-        self.clock_jumps = 0
-        self.forgotten = 0
-        self.frame_changes = 0
+        self.clock_jumps = self.frame_changes = self.forgotten = 0
         self.frames_before = _NO_FRAMES
         self._slashed = False
         self.refused = dict.fromkeys(Refusal, 0)
@@ -170,75 +146,47 @@ class PoseBuffer:
         a usable pose is counted and replaces nothing.
         """
         self.received += 1
-        stamped = stamps_ns != 0
-        faults = pose_faults(poses)
-        good = np.flatnonzero(stamped & ~np.any(faults, axis=0))
-        order = good[np.argsort(stamps_ns[good], kind='stable')]
-        first = np.diff(stamps_ns[order], prepend=np.iinfo(np.int64).min) != 0
-        order = order[first]
-        strays = self._strays(stamps_ns[order])
         self.refused = {why: self.refused[why] if why in OF_MESSAGES else 0 for why in Refusal}
-        for why, refused in (
-                (Refusal.NO_STAMP, ~stamped),
-                *zip((Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
-                     (stamped & bad for bad in faults), strict=True),
-                (Refusal.DUPLICATE, ~first)):
-            self.refused[why] = int(np.count_nonzero(refused))
-        self.refused[Refusal.STRAY_STAMP] = strays
-        if not len(order):
+        track: dict[int, PoseTuple] = {}
+        for stamp_ns, pose in zip(stamps_ns.tolist(), map(tuple, poses.tolist()), strict=True):
+            fault = fault_of(pose) if stamp_ns else Refusal.NO_STAMP
+            if fault is None and stamp_ns in track:
+                fault = Refusal.DUPLICATE
+            if fault is None:
+                track[stamp_ns] = pose
+            else:
+                self.refused[fault] += 1
+        if not track:
             self.refused[Refusal.EMPTY_PATH] += 1
             return
         self._change_frames(self._without_slashes(frames))
-        self._fill(stamps_ns[order][:len(order) - strays], poses[order][:len(order) - strays])
+        self.still = 0
+        row = sorted(track.items())
+        strays = self.refused[Refusal.STRAY_STAMP] = self._strays(row)
+        for stamp_ns, pose in row[:len(row) - strays]:
+            self._store(stamp_ns, pose)
 
-    def _strays(self, stamps_ns: NDArray[np.int64]) -> int:
-        """Return how many of the last of the (N,) sorted stamps are wrong.
+    def _strays(self, row: list[tuple[int, PoseTuple]]) -> int:
+        """Return how many of the last of the sorted stamps are wrong.
 
         Fewer than CONFIRMATIONS are, if only without them so many poses are within the age.
         """
-        for strays in range(min(CONFIRMATIONS, len(stamps_ns))):
-            rest = stamps_ns[:len(stamps_ns) - strays]
-            oldest = np.searchsorted(rest, rest[-1] - self._max_age_ns)
-            if len(rest) - oldest >= CONFIRMATIONS:
+        for strays in range(CONFIRMATIONS):
+            ends = row[:len(row) - strays][-CONFIRMATIONS:]
+            if len(ends) == CONFIRMATIONS and ends[-1][0] - ends[0][0] <= self._max_age_ns:
                 return strays
         return 0
 
-    def _fill(self, stamps_ns: NDArray[np.int64], poses: FloatArray) -> None:
-        """Hold of a whole trajectory what would be left of its poses one by one."""
-        self.still = 0
-        kept: list[int] = []
-        for k, (stamp_ns, pose) in enumerate(zip(
-                stamps_ns.tolist(), map(tuple, poses.tolist()), strict=True)):
-            if self._stands(stamp_ns, pose):
-                kept[-1] = k
-                self.still += 1
-            else:
-                kept.append(k)
-            self._last_ns = stamp_ns
-        oldest = int(np.searchsorted(stamps_ns[kept], self._last_ns - self._max_age_ns))
-        kept = kept[oldest:][-self._limits.max_poses:]
-        self._stamps, self._poses = stamps_ns[kept].astype(np.int64), poses[kept].astype(float)
-        self._start, self._end = 0, len(kept)
-
     def snapshot(self, name: str, sensor_frame: str = '') -> Track:
-        """Return a copy of what is held.
-
-        Parameters
-        ----------
-        name : str
-            Of the sensor where neither ``sensor_frame`` nor the messages name one.
-        sensor_frame : str
-            Overrides the name in the messages.
-
-        """
+        """Return a copy; the sensor is ``sensor_frame``, or as its messages say, or ``name``."""
         world, sensor = self.frames
         frame = sensor_frame or sensor or name
+        held = slice(self._start, self._end)
+        slashes = ('the leading slash of its frame ids was removed (tf2 refuses it)'
+                   if self._slashed else '')
         return Track(
-            self._stamps[self._start:self._end].copy(),
-            self._poses[self._start:self._end].copy(),
-            world or 'map',
-            frame,
-            tuple(f'{frame}: {note}' for note in (self.refusals(), self._slashes()) if note))
+            self._stamps[held].copy(), self._poses[held].copy(), world or 'map', frame,
+            tuple(f'{frame}: {note}' for note in (self.refusals(), slashes) if note))
 
     def refusals(self) -> str:
         """Return the counts of refused poses in words, or '' where none was."""
@@ -248,14 +196,9 @@ class PoseBuffer:
 
     def _without_slashes(self, frames: Frames) -> Frames:
         """Return frame ids as tf2 takes them: it refuses a leading slash."""
-        if not any(frame.startswith('/') for frame in frames):
-            return frames
-        self._slashed = True
-        return frames[0].lstrip('/'), frames[1].lstrip('/')
-
-    def _slashes(self) -> str:
-        return ('the leading slash of its frame ids was removed (tf2 refuses it)'
-                if self._slashed else '')
+        plain = frames[0].lstrip('/'), frames[1].lstrip('/')
+        self._slashed |= plain != frames
+        return plain
 
     def _forget_poses(self, frames: Frames = _NO_FRAMES) -> None:
         self.frames = frames
@@ -264,7 +207,8 @@ class PoseBuffer:
         self._poses = np.empty((0, 7))
         self._start = self._end = 0
         self._last_ns = 0
-        self._anchor: tuple[int, PoseTuple] | None = None
+        # Where the sensor was when it moved last, and when.
+        self._anchor: tuple[int, PoseTuple] = 0, ()
         self._jump: list[tuple[int, PoseTuple]] = []
         # Poses in a row in frames that are not those held, and these frames.
         self._strangers: list[tuple[int, PoseTuple]] = []
@@ -291,12 +235,14 @@ class PoseBuffer:
         self._strangers.append((stamp_ns, pose))
         if not self._is_confirmed(self._strangers):
             return
-        confirmed = self._strangers
-        self.refused[Refusal.OTHER_FRAME] -= len(confirmed)
+        self.refused[Refusal.OTHER_FRAME] -= len(self._strangers)
+        self._begin_anew(self._strangers, frames)
+
+    def _begin_anew(self, row: list[tuple[int, PoseTuple]], frames: Frames) -> None:
         self.forgotten += len(self)
         self._change_frames(frames)
-        for stamp, held in confirmed:
-            self._store(stamp, held)
+        for stamp_ns, pose in row:
+            self._store(stamp_ns, pose)
 
     def _drop_strays(self) -> None:
         if self._jump:
@@ -310,20 +256,19 @@ class PoseBuffer:
         self._jump.append((stamp_ns, pose))
         if not self._is_confirmed(self._jump):
             return
-        confirmed, self._jump = self._jump, []
-        if confirmed[0][0] < self._last_ns:
+        if self._jump[0][0] < self._last_ns:
             self.clock_jumps += 1
-            self.forgotten += len(self)
-            self._forget_poses(self.frames)
-        for stamp, held in confirmed:
+            self._begin_anew(self._jump, self.frames)
+            return
+        for stamp, held in self._jump:
             self._store(stamp, held)
+        self._jump.clear()
 
     def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:
         """Return whether poses in a row that contradict what is held are to be believed."""
         # Of a clock that hardly moves no more are held back than a buffer keeps.
-        if len(row) >= self._limits.max_poses:
-            return True
-        return len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= CONFIRMATION_NS
+        return len(row) >= self._limits.max_poses or (
+            len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= CONFIRMATION_NS)
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
         if self._stands(stamp_ns, pose):
@@ -345,10 +290,10 @@ class PoseBuffer:
 
         When motion resumes, the pose just before it is there to interpolate from.
         """
-        if self._anchor is None or self._moved(self._anchor[1], pose):
+        anchor_ns, anchor = self._anchor
+        if not anchor or self._moved(anchor, pose):
             self._anchor = stamp_ns, pose
             return False
-        anchor_ns = self._anchor[0]
         return stamp_ns - anchor_ns > self._still_after_ns and self._last_ns > anchor_ns
 
     def _moved(self, before: PoseTuple, after: PoseTuple) -> bool:
@@ -364,10 +309,9 @@ class PoseBuffer:
 
         With room for twice ``max_poses`` the move happens once in ``max_poses`` poses.
         """
-        held = slice(self._start, self._end)
-        count = self._end - self._start
+        count = len(self)
         size = min(max(2 * count, _FIRST_ALLOCATION), 2 * self._limits.max_poses)
         stamps, poses = np.empty(size, np.int64), np.empty((size, 7))
-        stamps[:count], poses[:count] = self._stamps[held], self._poses[held]
-        self._stamps, self._poses = stamps, poses
-        self._start, self._end = 0, count
+        stamps[:count], poses[:count] = (
+            array[self._start:self._end] for array in (self._stamps, self._poses))
+        self._stamps, self._poses, self._start, self._end = stamps, poses, 0, count

@@ -18,37 +18,22 @@ if TYPE_CHECKING:
 
 
 class PoseFeed:
-    """Puts the serialized messages of one topic into a buffer.
-
-    Parameters
-    ----------
-    msgtype : str
-        One of ``sources.cdr.TRAJECTORY_TYPES``.
-    buffer : PoseBuffer
-        That takes the poses.
-
-    """
+    """Puts the serialized messages of one topic, of a trajectory type, into a buffer."""
 
     def __init__(self, msgtype: str, buffer: PoseBuffer) -> None:
         self._msgtype, self._buffer = msgtype, buffer
 
     def __call__(self, message: bytes) -> None:
         """Take one message; what is wrong with it is counted by the buffer."""
-        if self._msgtype == PATH:
-            self._take_path(message)
+        if self._msgtype != PATH:
+            sample = parse_pose(message, self._msgtype)
+            if sample is not None:
+                self._buffer.append(*sample)
+                return
+        elif (path := parse_path(message)) is not None:
+            self._buffer.replace(path.stamps_ns, path.poses, (path.frame, ''))
             return
-        sample = parse_pose(message, self._msgtype)
-        if sample is None:
-            self._buffer.count_unreadable()
-            return
-        self._buffer.append(*sample)
-
-    def _take_path(self, message: bytes) -> None:
-        path = parse_path(message)
-        if path is None:
-            self._buffer.count_unreadable()
-            return
-        self._buffer.replace(path.stamps_ns, path.poses, (path.frame, ''))
+        self._buffer.count_unreadable()
 
 
 def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:

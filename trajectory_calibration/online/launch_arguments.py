@@ -8,14 +8,14 @@ An argument that is given beats the parameter file; one that is empty leaves it 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.online.options import OPTIONS
 
-# Parameters of the node that are arguments, too, with the type in which ROS wants them.
+# Parameters of the node that are arguments, too.
 PARAMETERS = ('topic_a', 'topic_b', 'frame_a', 'frame_b', 'publish_tf', 'result_directory')
 
 # Name, default and meaning; the defaults of the parameters are empty: the file's.
@@ -30,45 +30,29 @@ ARGUMENTS = (
     ('respawn', 'false', 'start the node again whenever it ends'),
 )
 
-_WORDS = {'true': True, 'false': False}
 _LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 
 
 @dataclass(frozen=True)
 class LaunchSettings:
-    """How the node is started.
-
-    Attributes
-    ----------
-    params_file : path of the parameter file, or None.
-    parameters : what beats the file, by name.
-    namespace, name, log_level, respawn : of the process.
-
-    """
+    """How the node is started; ``parameters`` beat the file."""
 
     params_file: str | None
-    parameters: dict[str, Any] = field(default_factory=dict)
-    namespace: str = ''
-    name: str = 'trajectory_calibration'
-    log_level: str = 'info'
-    respawn: bool = False
+    parameters: dict[str, Any]
+    namespace: str
+    name: str
+    log_level: str
+    respawn: bool
 
 
 def launch_settings(arguments: Mapping[str, str]) -> LaunchSettings:
-    """Return how to start the node for launch arguments, all of them texts.
-
-    Raises
-    ------
-    ConfigError
-        The parameter file does not exist, or a value does not fit.
-
-    """
+    """Return how to start the node for launch arguments, all of them texts."""
     given = {name: arguments.get(name, default) or default for name, default, _ in ARGUMENTS}
     parameters: dict[str, Any] = {'use_sim_time': _switch('use_sim_time', given['use_sim_time'])}
     for name in PARAMETERS:
         if given[name]:
-            value = (_switch(name, given[name]) if OPTIONS[name].kind is bool else given[name])
-            parameters[name] = OPTIONS[name].check(value)
+            parameters[name] = (_switch(name, given[name]) if OPTIONS[name].kind is bool
+                                else OPTIONS[name].check(given[name]))
     if given['log_level'] not in _LOG_LEVELS:
         raise ConfigError(
             f'log_level is {given["log_level"]!r}, needed one of {", ".join(_LOG_LEVELS)}')
@@ -82,15 +66,15 @@ def _params_file(params_file: str, config: str) -> str | None:
         raise ConfigError(
             f'params_file is {params_file} and config {config}, two names of one argument; '
             'give one of them')
-    path = params_file or config
-    if not path:
+    if not (params_file or config):
         return None
-    if not Path(path).expanduser().is_file():
+    path = Path(params_file or config).expanduser()
+    if not path.is_file():
         raise ConfigError(f'params_file {path} does not exist; correct its path')
-    return str(Path(path).expanduser())
+    return str(path)
 
 
 def _switch(name: str, text: str) -> bool:
-    if text.lower() not in _WORDS:
+    if text.lower() not in ('true', 'false'):
         raise ConfigError(f'{name} is {text!r}, needed true or false')
-    return _WORDS[text.lower()]
+    return text.lower() == 'true'

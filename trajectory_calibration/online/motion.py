@@ -17,21 +17,12 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.online.buffer import PoseBuffer
 
-_SECOND_NS = 1_000_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The motion that the buffers hold.
+    """The motion that the buffers hold, and the poses that they gave up for another beginning."""
 
-    Attributes
-    ----------
-    seconds : (N,) int64, ascending: whole seconds, on the clock of the first sensor, in which
-        every sensor has poses.
-    forgotten : poses that the buffers gave up, for a clock that went back or other frames.
-
-    """
-
+    # (N,) ascending: whole seconds, on the clock of the first sensor, with poses of every sensor.
     seconds: NDArray[np.int64]
     forgotten: int = 0
 
@@ -46,9 +37,8 @@ class Motion:
 
     def continues(self, earlier: Motion) -> bool:
         """Return whether an earlier state is the past of this one, no buffer having begun anew."""
-        if self.forgotten != earlier.forgotten or (len(earlier) and not len(self)):
-            return False
-        return not len(earlier) or bool(self.seconds[-1] >= earlier.seconds[-1])
+        return self.forgotten == earlier.forgotten and (
+            not len(earlier) or bool(len(self) and self.seconds[-1] >= earlier.seconds[-1]))
 
 
 NO_MOTION = Motion(np.empty(0, np.int64))
@@ -56,14 +46,9 @@ NO_MOTION = Motion(np.empty(0, np.int64))
 
 def measure(buffers: Sequence[PoseBuffer], offsets_ns: Sequence[int]) -> Motion:
     """Return the motion held; ``offsets_ns`` is added to the stamps of each sensor."""
-    seconds = [_seconds(buffer.stamps_ns, offset_ns)
+    seconds = [(buffer.stamps_ns + offset_ns) // 1_000_000_000
                for buffer, offset_ns in zip(buffers, offsets_ns, strict=True)]
-    common = reduce(lambda a, b: np.intersect1d(a, b, assume_unique=True), seconds)
+    # They ascend: to drop what repeats first saves the sorting of all.
+    different = [row[np.diff(row, prepend=-2**62) != 0] for row in seconds]
+    common = reduce(lambda a, b: np.intersect1d(a, b, assume_unique=True), different)
     return Motion(common, sum(buffer.forgotten for buffer in buffers))
-
-
-def _seconds(stamps_ns: NDArray[np.int64], offset_ns: int) -> NDArray[np.int64]:
-    """Return the (K,) different whole seconds of (N,) ascending stamps."""
-    seconds = (stamps_ns + offset_ns) // _SECOND_NS
-    different: NDArray[np.int64] = seconds[np.diff(seconds, prepend=-2**62) != 0]
-    return different

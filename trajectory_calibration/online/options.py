@@ -11,6 +11,7 @@ from here; a value is judged by ``Option.check`` alone, at the start and at run 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+import math
 import sys
 import textwrap
 from typing import Any
@@ -32,104 +33,79 @@ _LIMITS = BufferLimits()
 _TYPES = f'{AUTOMATIC} (what its publishers offer), {", ".join(TRAJECTORY_TYPES)}'
 _TF = f'or two frames of /tf as {TF_PREFIX}PARENT.CHILD'
 
-TOPIC_OPTIONS = (
-    Option('topic_a', str, 'trajectory_a',
-           f'topic with the trajectory of the parent sensor a, {_TF}'),
-    Option('topic_b', str, 'trajectory_b',
-           f'topic with the trajectory of the child sensor b, {_TF}'),
-    Option('type_a', str, AUTOMATIC, f'message type of topic_a: {_TYPES}'),
-    Option('type_b', str, AUTOMATIC, f'message type of topic_b: {_TYPES}'),
-    Option('queue_depth', int, 5000, 'depth of the subscription queues (a Path topic always '
-           'uses 1)', minimum=1, maximum=1_000_000),
-)
-BUFFER_OPTIONS = (
-    Option('max_poses', int, _LIMITS.max_poses,
-           'largest number of poses kept for each sensor; the oldest are dropped first',
-           minimum=10, maximum=10_000_000),
-    Option('max_age', float, _LIMITS.max_age_s, 'largest age of the poses that are kept, seconds',
-           minimum=1.0, maximum=1e7),
-    Option('still_after', float, _LIMITS.still_after_s, 'time without motion after which only '
-           'the newest pose of a standstill is kept, seconds', minimum=0.0, maximum=1e7),
-    Option('still_distance', float, _LIMITS.still_distance,
-           'motion below this distance counts as standing still, metres; 0 keeps every pose',
-           minimum=0.0, maximum=1000.0),
-    Option('still_angle', float, _LIMITS.still_angle_deg,
-           'motion below this angle counts as standing still, degrees', minimum=0.0,
-           maximum=180.0),
-)
-FRAME_OPTIONS = (
-    Option('frame_a', str, '', 'frame of sensor a; empty: as the messages name it'),
-    Option('frame_b', str, '', 'frame of sensor b; empty: as the messages name it'),
-)
-RESULT_OPTIONS = (
-    Option('result_directory', str, '',
-           'folder in which every result is saved; empty: results are not saved'),
-    Option('restore', bool, default=False,
-           help='publish the newest result in result_directory after a start, once frame_a and '
-           'frame_b or the frames that arrive match it'),
-)
-ANSWER_OPTIONS = (
-    Option('calibration_timeout', float, 120.0,
-           'time after which a calibration is stopped, seconds', minimum=0.1, maximum=86400.0),
-)
-OUTPUT_OPTIONS = (
-    Option('publish_tf', bool, default=False,
-           help='publish the extrinsic on /tf_static too, where it does not give a frame a '
-           'second parent; needs tf2_msgs'),
-    Option('diagnostic_updater.period', float, 1.0, 'time between two messages on /diagnostics, '
-           'seconds', minimum=0.05, maximum=60.0),
-)
-ADVICE_OPTIONS = (
-    Option('target_translation_std', float, 0.02,
-           'wanted standard deviation of the translation, metres',
-           minimum=1e-6, maximum=1000.0),
-    Option('target_rotation_std', float, 0.2,
-           'wanted standard deviation of the rotation, degrees',
-           minimum=1e-6, maximum=180.0),
-    Option('auto_calibrate', bool, default=False,
-           help='calibrate once, without a call, when both are reached'),
-)
-MONITOR_OPTIONS = (
-    Option('monitor', bool, default=False,
-           help='check again and again whether the published extrinsic still holds; /diagnostics '
-           'warns when it does not, and reports an error when a second check confirms it'),
-    Option('monitor_period', float, 60.0, 'time between two checks, seconds', minimum=1.0,
-           maximum=86400.0),
-    Option('monitor_window', float, 600.0, 'each check uses the poses of this time, seconds',
-           minimum=10.0, maximum=1e7),
-)
 CONFIG_OPTIONS = tuple(CalibrationConfig.options())
 
-# Title, options, whether a running node takes a new value.
-_GROUPS: tuple[tuple[str, tuple[Option, ...], bool], ...] = (
-    ('Inputs', TOPIC_OPTIONS, False),
-    ('What is kept', BUFFER_OPTIONS, False),
-    ('Saved results', RESULT_OPTIONS, False),
-    ('What is published', OUTPUT_OPTIONS, False),
-    ('Names of the sensors', FRAME_OPTIONS, True),
-    ('The answer', ANSWER_OPTIONS, True),
-    ('When the motion is enough', ADVICE_OPTIONS, True),
-    ('Whether the extrinsic still holds', MONITOR_OPTIONS, False),
-    ('The calibration', CONFIG_OPTIONS, True),
+# Title, whether a running node takes a new value, options.
+_GROUPS: tuple[tuple[str, bool, tuple[Option, ...]], ...] = (
+    ('Inputs', False, (
+        Option('topic_a', 'trajectory_a',
+               f'topic with the trajectory of the parent sensor a, {_TF}'),
+        Option('topic_b', 'trajectory_b',
+               f'topic with the trajectory of the child sensor b, {_TF}'),
+        Option('type_a', AUTOMATIC, f'message type of topic_a: {_TYPES}'),
+        Option('type_b', AUTOMATIC, f'message type of topic_b: {_TYPES}'),
+        Option('queue_depth', 5000, 'depth of the subscription queues (a Path topic always '
+               'uses 1)', 1, 1_000_000),
+    )),
+    ('What is kept', False, (
+        Option('max_poses', _LIMITS.max_poses, 'largest number of poses kept for each sensor; the '
+               'oldest are dropped first', 10, 10_000_000),
+        Option('max_age', _LIMITS.max_age_s, 'largest age of the poses that are kept, seconds',
+               1.0, 1e7),
+        Option('still_after', _LIMITS.still_after_s, 'time without motion after which only '
+               'the newest pose of a standstill is kept, seconds', 0.0, 1e7),
+        Option('still_distance', _LIMITS.still_distance, 'motion below this distance counts as '
+               'standing still, metres; 0 keeps every pose', 0.0, 1000.0),
+        Option('still_angle', _LIMITS.still_angle_deg,
+               'motion below this angle counts as standing still, degrees', 0.0, 180.0),
+    )),
+    ('Saved results', False, (
+        Option('result_directory', '',
+               'folder in which every result is saved; empty: results are not saved'),
+        Option('restore', default=False, help='publish the newest result in result_directory '
+               'after a start, once frame_a and frame_b or the frames that arrive match it'),
+    )),
+    ('What is published', False, (
+        Option('publish_tf', default=False, help='publish the extrinsic on /tf_static too, where '
+               'it does not give a frame a second parent; needs tf2_msgs'),
+        Option('diagnostic_updater.period', 1.0,
+               'time between two messages on /diagnostics, seconds', 0.05, 60.0),
+    )),
+    ('Names of the sensors', True, (
+        Option('frame_a', '', 'frame of sensor a; empty: as the messages name it'),
+        Option('frame_b', '', 'frame of sensor b; empty: as the messages name it'),
+    )),
+    ('The answer', True, (
+        Option('calibration_timeout', 120.0, 'time after which a calibration is stopped, seconds',
+               0.1, 86400.0),
+    )),
+    ('When the motion is enough', True, (
+        Option('target_translation_std', 0.02,
+               'wanted standard deviation of the translation, metres', 1e-6, 1000.0),
+        Option('target_rotation_std', 0.2,
+               'wanted standard deviation of the rotation, degrees', 1e-6, 180.0),
+        Option('auto_calibrate', default=False,
+               help='calibrate once, without a call, when both are reached'),
+    )),
+    ('Whether the extrinsic still holds', False, (
+        Option('monitor', default=False, help='check again and again whether the published '
+               'extrinsic still holds; /diagnostics warns when it does not, and reports an error '
+               'when a second check confirms it'),
+        Option('monitor_period', 60.0, 'time between two checks, seconds', 1.0, 86400.0),
+        Option('monitor_window', 600.0, 'each check uses the poses of this time, seconds',
+               10.0, 1e7),
+    )),
+    ('The calibration', True, CONFIG_OPTIONS),
 )
-OPTIONS = {option.name: option for _, options, _ in _GROUPS for option in options}
+OPTIONS = {option.name: option for _, _, options in _GROUPS for option in options}
 FIXED_NAMES = frozenset(
-    option.name for _, options, changeable in _GROUPS if not changeable for option in options)
-
-
-def is_foreign(name: str) -> bool:
-    """Tell whether a parameter is not the node's own, but what rclpy declares on every node."""
-    return name in _FOREIGN_NAMES or name.startswith(_FOREIGN_PREFIX)
-
-
-def check_foreign(name: str, value: Any) -> None:
-    """Raise ConfigError for a value of rclpy's own switches that is none: it would go unheeded."""
-    if name in _FOREIGN_NAMES and not isinstance(value, bool):
-        raise ConfigError(f'{name} is {value!r}, needed true or false')
+    option.name for _, changeable, options in _GROUPS if not changeable for option in options)
 
 
 def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return every option in its type, the defaults where ``values`` has none.
+
+    Parameters that rclpy declares on every node are left out.
 
     Raises
     ------
@@ -137,7 +113,12 @@ def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
         An unknown name, or a value that does not fit, alone or with the others.
 
     """
-    unknown = sorted(name for name in values if name not in OPTIONS)
+    for name in _FOREIGN_NAMES:
+        # rclpy would not heed it.
+        if not isinstance(values.get(name, False), bool):
+            raise ConfigError(f'{name} is {values[name]!r}, needed true or false')
+    unknown = sorted(name for name in values if name not in OPTIONS
+                     and name not in _FOREIGN_NAMES and not name.startswith(_FOREIGN_PREFIX))
     if unknown:
         raise ConfigError(
             f'parameter {unknown[0]!r} is unknown; known are {", ".join(sorted(OPTIONS))}')
@@ -165,14 +146,7 @@ def to_limits(values: Mapping[str, Any]) -> BufferLimits:
 
 
 def find_type(name: str) -> str | None:
-    """Return 'nav_msgs/msg/Odometry' of itself or for short of 'Odometry'; None of 'auto'.
-
-    Raises
-    ------
-    ConfigError
-        A type that cannot serve as a trajectory; the message lists those that can.
-
-    """
+    """Return 'nav_msgs/msg/Odometry' of itself or for short of 'Odometry'; None of 'auto'."""
     if name == AUTOMATIC:
         return None
     for msgtype in TRAJECTORY_TYPES:
@@ -184,14 +158,7 @@ def find_type(name: str) -> str | None:
 
 
 def find_frames(topic: str) -> tuple[str, str] | None:
-    """Return the two frames of ``tf:PARENT.CHILD``, None for a topic.
-
-    Raises
-    ------
-    ConfigError
-        It does not name two frames.
-
-    """
+    """Return the two frames of ``tf:PARENT.CHILD``, None for a topic."""
     return parse_tf(topic) if topic.startswith(TF_PREFIX) else None
 
 
@@ -202,7 +169,7 @@ def parameter_file() -> str:
         '#   ros2 run trajectory_calibration calibration_node --ros-args --params-file FILE',
         '/**:',
         '  ros__parameters:']
-    for title, options, changeable in _GROUPS:
+    for title, changeable, options in _GROUPS:
         when = 'can be changed while the node runs' if changeable else 'read once at the start'
         lines += ['', f'    # --- {title}; {when} ---']
         for option in options:
@@ -214,7 +181,7 @@ def _commented(option: Option) -> Iterable[str]:
     text = option.help[0].upper() + option.help[1:]
     if option.choices:
         text += f': {", ".join(option.choices)}'
-    elif option.minimum is not None and option.maximum is not None:
+    elif option.maximum < math.inf:
         text += f' ({option.minimum:.10g} to {option.maximum:.10g})'
     yield from textwrap.wrap(
         f'{text}.', 92, initial_indent='    # ', subsequent_indent='    # ')

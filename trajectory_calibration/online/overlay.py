@@ -23,16 +23,10 @@ _MOST_POSES = 2000
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Sensor a where a itself and where b says that it was.
+    """The (K, 4, 4) poses of sensor a in its world, as a and as b reported them.
 
-    Attributes
-    ----------
-    world_frame : of a.
-    stamps_ns : (K,) int64.
-    poses_a : (K, 4, 4), as a reported them.
-    poses_b : (K, 4, 4), ``Z B_k T_a_b^-1``: as b reported them, carried to a by the extrinsic and
-        into the world of a by the Z that fits all of them best.
-
+    Those of b are ``Z B_k T_a_b^-1``: carried to a by the extrinsic, and into the world of a by
+    the Z that fits all of them best.
     """
 
     world_frame: str
@@ -42,14 +36,7 @@ class Overlay:
 
 
 def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
-    """Lay the tracks of a calibration over each other.
-
-    Raises
-    ------
-    AssociationError
-        As ``associate``; not for trajectories that have just been calibrated.
-
-    """
+    """Lay the tracks of a calibration over each other."""
     clock = Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns)
     pairs = match_at(a, b, clock, result.config)
     chosen = slice(None, None, -(-len(pairs) // _MOST_POSES))

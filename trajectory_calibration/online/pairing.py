@@ -3,13 +3,11 @@
 """How many poses of one sensor have a place among the other's: counted, not paired.
 
 Each second, so that pairing all of them again would cost too much.
-
-Nothing here imports ROS.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,18 +15,8 @@ from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.time_alignment.pairing import COINCIDENCE_NS
 
 
-@dataclass(frozen=True)
-class Pairing:
-    """What interpolation of a at the stamps of b would make of two buffers.
-
-    Attributes
-    ----------
-    pairs : poses of b between two poses of a that are near enough, or coinciding with one.
-    in_gaps : poses of b in a gap of a.
-    outside : poses of b before the first or after the last pose of a. All three the other way
-        round where b is interpolated at the stamps of a.
-
-    """
+class Pairing(NamedTuple):
+    """Poses of b that a can be interpolated at, in gaps of a, and before or after all of a."""
 
     pairs: int
     in_gaps: int
@@ -40,8 +28,7 @@ def count_pairs(
 ) -> Pairing:
     """Count as ``associate_by_interpolation`` does, from the few long gaps of a alone.
 
-    ``at_a`` counts the poses of a among those of b, as the association 'auto' would where a
-    ``is_sparser``.
+    ``at_a`` counts the poses of a among those of b.
     """
     if at_a:
         return count_pairs(b, a, -time_offset_ns, max_gap_ns)

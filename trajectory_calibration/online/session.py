@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 import re
+from typing import NamedTuple
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError, MotionError
@@ -18,8 +19,7 @@ from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
+class Calibration(NamedTuple):
     """An answer, and the tracks it was found from for a person to look at."""
 
     result: CalibrationResult
@@ -35,23 +35,16 @@ class CalibrationJob:
     config: CalibrationConfig
 
     def run(self) -> Calibration:
-        """Calibrate.
+        """Calibrate; an answer that must not go out is a CalibrationError as any other failure.
 
-        Raises
-        ------
-        CalibrationError
-            As ``calibrate``, for tracks of fewer than two poses, and for an answer that must
-            not go out: one with a direction that neither the motion nor a prior determined,
-            unless ``allow_unobserved``. The message ends with what was refused of the tracks.
-
+        That is one with a direction that neither the motion nor a prior determined, unless
+        ``allow_unobserved``. The message ends with what was refused of the tracks.
         """
         try:
             a, b = self.track_a.trajectory(), self.track_b.trajectory()
             result = calibrate(a, b, self.config)
-            unknown = Placement.of(result).kept_back
-            if unknown:
-                raise MotionError(
-                    f'not published: {unknown} unobservable. {_way_out(result)}')
+            if unknown := Placement.of(result).kept_back:
+                raise MotionError(f'not published: {unknown} unobservable. {_way_out(result)}')
             return Calibration(result, make_overlay(a, b, result))
         except CalibrationError as error:
             # What was refused may be why.
@@ -63,18 +56,7 @@ class CalibrationJob:
 class CalibrationSession:
     """The poses of the sensors since the last reset; the first sensor is the parent.
 
-    Parameters
-    ----------
-    topics : sequence of str
-        Full names, one for each sensor; they name a sensor whose messages do not.
-    limits : BufferLimits
-        For each buffer.
-
-    Attributes
-    ----------
-    topics : the names.
-    buffers : of the sensors, in the order of the topics.
-
+    The full names of their topics name the sensors whose messages do not.
     """
 
     def __init__(self, topics: Sequence[str], limits: BufferLimits) -> None:

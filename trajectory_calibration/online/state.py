@@ -13,26 +13,12 @@ _MORE_MOTION = 0.2
 
 
 class CalibrationState:
-    """The outcome of the calibrations so far.
-
-    Attributes
-    ----------
-    result : the last answer, of this run or restored; None where there is none.
-    calibrated : whether it was found since the last reset.
-    last_failure : why the last calibration failed, '' where it did not.
-
-    """
+    """The outcome of the calibrations so far."""
 
     def __init__(self) -> None:
+        # The last answer, of this run or restored.
         self.result: CalibrationResult | None = None
-        self.calibrated = False
-        self.last_failure = ''
-        # What was there when a calibration was tried last.
-        self._tried: Motion = NO_MOTION
-
-    def restored(self, result: CalibrationResult) -> None:
-        """Take an answer of an earlier run."""
-        self.result = result
+        self.reset()
 
     def started(self, motion: Motion) -> None:
         """Note the motion that a calibration begins with."""
@@ -48,24 +34,22 @@ class CalibrationState:
 
     def reset(self) -> None:
         """Forget all but the answer."""
-        self.calibrated, self.last_failure, self._tried = False, '', NO_MOTION
+        # Whether the answer was found since, and why the last calibration failed.
+        self.calibrated, self.last_failure = False, ''
+        self._tried = NO_MOTION
 
     def has_moved_on(self, motion: Motion) -> bool:
         """Return whether the data differ much from those of the last calibration."""
-        if not motion.continues(self._tried):
-            return True
-        return motion.since(self._tried) > _MORE_MOTION * len(self._tried)
+        return not motion.continues(self._tried) or (
+            motion.since(self._tried) > _MORE_MOTION * len(self._tried))
 
     def time_offset_s(self, setting_s: float) -> float:
         """Return the clock offset that was found since the last reset, or else the setting."""
-        if self.calibrated and self.result is not None:
-            return self.result.time_offset_s
-        return setting_s
+        return self.result.time_offset_s if self.calibrated and self.result else setting_s
 
     def found_offset(self) -> str:
         """Return the clock offset that a calibration since the last reset found, or ''."""
-        result = self.result
-        if (result is None or not self.calibrated
-                or result.config.mode('time_offset') == 'fixed'):
+        if not (self.calibrated and self.result) or (
+                self.result.config.mode('time_offset') == 'fixed'):
             return ''
-        return f'{result.time_offset_s:.4f}'
+        return f'{self.result.time_offset_s:.4f}'

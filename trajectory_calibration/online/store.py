@@ -1,14 +1,16 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Results on disk: one file for each, numbered, never overwritten. Nothing here imports ROS."""
+"""Results on disk: one file for each, numbered, never overwritten."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 import itertools
 import os
 from pathlib import Path
 import re
+from typing import NamedTuple
 
 from trajectory_calibration.config.yaml_file import write_yaml
 from trajectory_calibration.errors import (
@@ -26,19 +28,38 @@ from trajectory_calibration.result import CalibrationResult
 _LARGEST = 4_000_000
 
 
+class Restored(NamedTuple):
+    """A result of an earlier run, which waits until the frames of the vehicle are known."""
+
+    path: Path
+    result: CalibrationResult
+
+    @property
+    def waiting(self) -> str:
+        """Return what it waits for."""
+        return (f'{self.path.name} is restored when poses of {self.result.frame_a} and '
+                f'{self.result.frame_b} arrive, or frame_a and frame_b name them')
+
+    def compare(self, frames: Sequence[str]) -> str | None:
+        """Return '' where the frames of the vehicle are its own, why it is refused where not.
+
+        None where one of them is not known yet, which reads ''.
+        """
+        wanted = self.result.frame_a, self.result.frame_b
+        if any(frame not in ('', expected)
+               for frame, expected in zip(frames, wanted, strict=True)):
+            found = ' and '.join(frame or 'unknown' for frame in frames)
+            return (f'not restored: {self.path} holds {wanted[0]} -> {wanted[1]}, the topics '
+                    f'carry {found}; correct the topics, or calibrate again')
+        return '' if all(frames) else None
+
+
 class ResultStore:
-    """The results of one node in a folder.
+    """The results of one node in a folder, which is made where it does not exist.
 
     Files are named after the node and a running number: no name comes from a message, and no
     order depends on a clock that a vehicle may set after it has started. A dot stands for each
     slash of the node's name, which itself holds none: no two nodes have the same files.
-
-    Parameters
-    ----------
-    folder : str
-        Made where it does not exist; ``~`` is the home.
-    node_name : str
-        Full name of the node; two nodes may share a folder.
 
     Raises
     ------
@@ -70,14 +91,7 @@ class ResultStore:
                 'permissions')
 
     def save(self, result: CalibrationResult) -> Path:
-        """Write a result, whole or not at all, and return its file.
-
-        Raises
-        ------
-        ResultError
-            The file or the folder cannot be written; the earlier files are as they were.
-
-        """
+        """Write a result, whole or not at all, and return its file; ResultError if not."""
         newest = max((number for number, _ in self._files()), default=0)
         for number in itertools.count(newest + 1):
             path = self._folder / f'{self._prefix}_{number:06d}.yaml'
@@ -88,22 +102,13 @@ class ResultStore:
         return path
 
     def export(self, result: CalibrationResult, path: Path) -> Path:
-        """Write every export of a saved result into a folder named as its file; return the folder.
-
-        Raises
-        ------
-        ConfigError
-            Both frames have one name.
-        ResultError
-            The folder cannot be written.
-
-        """
+        """Write every export of a saved result into a folder named as its file; return it."""
         folder = path.with_suffix('')
         write_exports(Placement.of(result), folder)
         return folder
 
-    def latest(self) -> tuple[Path, CalibrationResult] | None:
-        """Return the newest result that can be read, with its file; None where there is none.
+    def latest(self) -> Restored | None:
+        """Return the newest result that can be read; None where there is no file.
 
         Raises
         ------
@@ -111,14 +116,14 @@ class ResultStore:
             There are files, and none can be read, or the folder has gone.
 
         """
-        failures = []
+        failure = None
         for _, path in sorted(self._files(), reverse=True):
             loaded = _load(path)
             if isinstance(loaded, CalibrationResult):
-                return path, loaded
-            failures.append(loaded)
-        if failures:
-            raise failures[0]
+                return Restored(path, loaded)
+            failure = failure or loaded
+        if failure:
+            raise failure
         return None
 
     def _files(self) -> list[tuple[int, Path]]:

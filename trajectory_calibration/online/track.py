@@ -24,13 +24,8 @@ _LONGEST_STEP_NS = 100_000_000
 class Track:
     """What a buffer held at one moment; independent of it, cheap to send to another process.
 
-    Attributes
-    ----------
-    stamps_ns : (N,) int64, strictly increasing.
-    poses : (N, 7) position x, y, z (metres) and quaternion x, y, z, w in the world.
-    world_frame, sensor_frame : names of the two frames.
-    warnings : what was refused, for the result.
-
+    The (N, 7) poses are position x, y, z (metres) and quaternion x, y, z, w in the world; the
+    warnings say what was refused.
     """
 
     stamps_ns: NDArray[np.int64]

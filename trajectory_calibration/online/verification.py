@@ -17,49 +17,36 @@ from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.track import Track
 from trajectory_calibration.result import CalibrationResult
 
-# So many checks in a row must find that it moved before that is an error and no warning.
+# So many checks in a row must find that it moved before that is an error and no warning; both
+# are numbers of diagnostic_msgs/DiagnosticStatus.
 _CONFIRMED = 2
 
 # With fewer new poses of a sensor nothing can be told.
 _FEWEST_POSES = 30
 
-# Levels of diagnostic_msgs/DiagnosticStatus.
-OK, WARN, ERROR = 0, 1, 2
-
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a check of the published answer says.
-
-    Attributes
-    ----------
-    verdict : 'holds', 'cannot tell' or 'moved'.
-    exit_status : 0, 3 or 4, as of ``trajectory_calibration verify``.
-    sentence : for a person.
-    checks : checks in a row that found that it moved.
-
-    """
+    """What a check of the published answer says, with the status that ``verify`` ends with."""
 
     verdict: str
     exit_status: int
     sentence: str
+    # In a row that found that it moved.
     checks: int = 0
 
     @property
     def level(self) -> int:
         """Return 0 (OK), 1 (WARN: moved once) or 2 (ERROR: moved, confirmed)."""
-        if self.checks == 0:
-            return OK
-        return ERROR if self.checks >= _CONFIRMED else WARN
+        return min(self.checks, _CONFIRMED)
 
     def following(self, before: Verdict | None) -> Verdict:
         """Return this verdict after an earlier one: poor motion neither confirms nor denies."""
-        earlier = 0 if before is None else before.checks
+        earlier = before.checks if before else 0
         checks = {HOLDS: 0, CANNOT_TELL: earlier, MOVED: earlier + 1}[self.verdict]
-        sentence = self.sentence
-        if self.verdict == CANNOT_TELL and before is not None and earlier:
-            sentence = f'{sentence}; before: {before.sentence}'
-        return replace(self, checks=checks, sentence=sentence)
+        recalled = f'; before: {before.sentence}' if (
+            before and earlier and self.verdict == CANNOT_TELL) else ''
+        return replace(self, checks=checks, sentence=self.sentence + recalled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +70,7 @@ class MonitorJob:
 
 
 class Monitor:
-    """Decides when the published answer is checked, and on which poses.
-
-    Parameters
-    ----------
-    period_s, window_s : seconds between two checks, and of poses that each looks at.
-
-    """
+    """Decides when the published answer is checked, and on the poses of which window."""
 
     def __init__(self, period_s: float, window_s: float) -> None:
         self._period_s, self._window_ns = period_s, round(window_s * 1e9)
@@ -103,8 +84,7 @@ class Monitor:
     def watch(self, result: CalibrationResult, session: CalibrationSession, *, restored: bool,
               ) -> None:
         """Watch a new answer, from the poses on that were not there when it was found."""
-        self._result = result
-        self._last_ns = [0, 0]
+        self._result, self._last_ns = result, [0, 0]
         self._since_ns = [0 if restored or buffer.span_ns is None else buffer.span_ns[1]
                           for buffer in session.buffers]
 

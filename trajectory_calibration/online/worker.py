@@ -63,19 +63,9 @@ class Job(Protocol[Answer_co]):
 class SolverProcess(Generic[Answer]):
     """Runs one job at a time.
 
-    Parameters
-    ----------
-    done : callable
-        Called without arguments, as a rule from another thread, when the outcome can be taken:
-        once for every ``start``, whatever happened.
-
-    Attributes
-    ----------
-    busy : True from ``start`` until the outcome is taken.
-    cpu_s : CPU time of the last job, its process included, seconds; of a job that was stopped,
-        the time for which it ran.
-    started_s : when the job was started, of ``time.monotonic``.
-
+    ``done`` is called without arguments, as a rule from another thread, when the outcome can be
+    taken: once for every ``start``, whatever happened. ``busy`` until it is taken. ``cpu_s`` is
+    the CPU time of the last job, its process included; of one that was stopped, its duration.
     """
 
     def __init__(self, done: Callable[[], None]) -> None:

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
     Point,
@@ -55,47 +53,36 @@ def to_transform_stamped(
     parent: str, child: str, T_parent_child: FloatArray, stamp: Time,
 ) -> TransformStamped:
     """Return a (4, 4) transform from a frame to its child as a message."""
-    translation, rotation = _vector_and_quaternion(T_parent_child)
+    pose, = _poses(T_parent_child[np.newaxis])
+    t = pose.position
     return TransformStamped(
-        header=Header(stamp=stamp, frame_id=parent),
-        child_frame_id=child,
-        transform=Transform(translation=Vector3(**translation), rotation=Quaternion(**rotation)))
+        header=Header(stamp=stamp, frame_id=parent), child_frame_id=child,
+        transform=Transform(translation=Vector3(x=t.x, y=t.y, z=t.z), rotation=pose.orientation))
 
 
-def to_pose_with_covariance(
-    result: CalibrationResult, stamp: Time,
-) -> PoseWithCovarianceStamped | None:
-    """Return the pose of b in a with its covariance, or None where the solver gave none."""
-    if result.covariance is None:
-        return None
-    translation, rotation = _vector_and_quaternion(result.T_a_b)
+def to_pose_with_covariance(result: CalibrationResult, stamp: Time) -> PoseWithCovarianceStamped:
+    """Return the pose of b in a with its covariance."""
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=result.frame_a))
-    message.pose.pose = Pose(position=Point(**translation), orientation=Quaternion(**rotation))
+    message.pose.pose, = _poses(result.T_a_b[np.newaxis])
     message.pose.covariance = result.covariance.reshape(-1)
     return message
 
 
 def to_path(poses: FloatArray, overlay: Overlay) -> Path:
     """Return (K, 4, 4) poses of an overlay as a path in its world."""
-    header = Header(frame_id=overlay.world_frame)
-    quaternions = se3.rotation_to_quaternion(poses[:, :3, :3])
-    path = Path(header=header)
-    for stamp_ns, (x, y, z), (qx, qy, qz, qw) in zip(
-            overlay.stamps_ns.tolist(), poses[:, :3, 3].tolist(), quaternions.tolist(),
-            strict=True):
-        pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
-        path.poses.append(PoseStamped(
-            header=Header(stamp=_to_time(stamp_ns), frame_id=overlay.world_frame), pose=pose))
-    if path.poses:
-        path.header.stamp = path.poses[-1].header.stamp
-    return path
+    stamped = []
+    for stamp_ns, pose in zip(overlay.stamps_ns.tolist(), _poses(poses), strict=True):
+        sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+        header = Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=overlay.world_frame)
+        stamped.append(PoseStamped(header=header, pose=pose))
+    return Path(header=stamped[-1].header, poses=stamped)
 
 
 def to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> MarkerArray:
     """Return lines between what a and b say at the same time, and the answer as a text."""
     header = Header(stamp=stamp, frame_id=overlay.world_frame)
     ends = np.stack([overlay.poses_a[:, :3, 3], overlay.poses_b[:, :3, 3]], axis=1)
-    apart = float(np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1))))
+    apart = np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1)))
     lines = Marker(header=header, ns='disagreement', type=Marker.LINE_LIST)
     lines.scale.x = _LINE_WIDTH
     lines.color = ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.9)
@@ -109,12 +96,10 @@ def to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> Mark
     return MarkerArray(markers=[lines, text])
 
 
-def _to_time(stamp_ns: int) -> Time:
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    return Time(sec=sec, nanosec=nanosec)
-
-
-def _vector_and_quaternion(T: FloatArray) -> tuple[dict[str, Any], dict[str, Any]]:
-    rotation = se3.rotation_to_quaternion(T[:3, :3])
-    return (dict(zip('xyz', T[:3, 3].tolist(), strict=True)),
-            dict(zip('xyzw', rotation.tolist(), strict=True)))
+def _poses(poses: FloatArray) -> list[Pose]:
+    """Return (N, 4, 4) poses as messages."""
+    quaternions = se3.rotation_to_quaternion(poses[:, :3, :3])
+    return [
+        Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+        for (x, y, z), (qx, qy, qz, qw) in zip(
+            poses[:, :3, 3].tolist(), quaternions.tolist(), strict=True)]

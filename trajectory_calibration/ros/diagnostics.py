@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
@@ -21,6 +20,8 @@ from trajectory_calibration.online.verification import Verdict
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.topics import TopicStatus
 
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0
 # Poses that were forgotten are reported for so long, seconds.
@@ -28,17 +29,11 @@ _RECENT_S = 60.0
 
 
 class InputMonitor:
-    """Reports one input; remembers what it needs for rates and to speak up only when it matters.
-
-    Attributes
-    ----------
-    name : of the input.
-    rate_hz : messages per second between the last two reports.
-
-    """
+    """Reports one input; remembers what it needs to speak up only when it matters."""
 
     def __init__(self, name: str, buffer: PoseBuffer, now_s: float, sensor: str = '') -> None:
         self.name, self._sensor = name, sensor
+        # Messages a second between the last two reports.
         self.rate_hz = 0.0
         self._buffer = buffer
         self._received = 0
@@ -52,16 +47,6 @@ class InputMonitor:
         self._losses = (0, 0, 0)
         self._lost_s = -math.inf
         self._loss = ''
-
-    @property
-    def part(self) -> str:
-        """Return the name of the input without that of the node."""
-        return self.name.rpartition(': ')[2]
-
-    @property
-    def received(self) -> bool:
-        """Whether a message has come."""
-        return self._buffer.received > 0
 
     def report(self, topic: TopicStatus, now_s: float, lost: int = 0) -> DiagnosticStatus:
         """Return the state of the input; ``now_s`` is a steady time in seconds."""
@@ -77,15 +62,16 @@ class InputMonitor:
         elif arrived and self._useless_since_s is None:
             self._useless_since_s = now_s
         self._received, self._reported_s = buffer.received, now_s
-        status = DiagnosticStatus(
-            name=self.name, hardware_id=buffer.frames[1] or self._sensor)
-        status.level, status.message = self._judge(topic, now_s)
+        worry = self._worry(topic, now_s) if topic.ready else ''
+        message = topic.text
+        if topic.ready:
+            message += f': {worry}' if worry else f': {self.rate_hz:.1f} Hz'
         if lost:
-            status.message += f'; {counted(lost, "message")} lost by DDS'
-        span = buffer.span_ns
-        status.values = key_values({
+            message += f'; {counted(lost, "message")} lost by DDS'
+        first_ns, last_ns = buffer.span_ns or (0, 0)
+        return _status(self.name, buffer.frames[1] or self._sensor, message, {
             'poses': len(buffer),
-            'span_s': f'{(span[1] - span[0]) * 1e-9:.3f}' if span else '0.000',
+            'span_s': f'{(last_ns - first_ns) * 1e-9:.3f}',
             'messages': buffer.messages,
             'messages lost': lost,
             'rate_hz': f'{self.rate_hz:.2f}',
@@ -96,14 +82,12 @@ class InputMonitor:
             'clock jumps': buffer.clock_jumps,
             'frame changes': buffer.frame_changes,
             'memory_mib': f'{buffer.nbytes / 2**20:.2f}',
-        })
-        return status
+        }, level=OK if topic.ready and not worry else WARN)
 
     def new_refusals(self) -> str:
         """Return the refused poses in words if there are new ones since the last call, or ''."""
-        total = sum(self._buffer.refused.values())
-        changed, self._refused = total > self._refused, total
-        return self._buffer.refusals() if changed else ''
+        before, self._refused = self._refused, sum(self._buffer.refused.values())
+        return self._buffer.refusals() if self._refused > before else ''
 
     def new_loss(self, now_s: float) -> str:
         """Return what a clock that went back, or other frames, have cost since then, or ''."""
@@ -125,49 +109,34 @@ class InputMonitor:
                           'clock of the sender')
         return self._loss
 
-    def _judge(self, topic: TopicStatus, now_s: float) -> tuple[bytes, str]:
-        if not topic.ready:
-            return DiagnosticStatus.WARN, topic.text
+    def _worry(self, topic: TopicStatus, now_s: float) -> str:
+        """Return what a person should look after, '' where all is well."""
         if self._last_message_s is None:
-            return DiagnosticStatus.WARN, f'{topic.text}: no message yet. Does it publish?'
+            return 'no message yet. Does it publish?'
         silent = now_s - self._last_message_s
         if silent > _SILENT_S:
-            return DiagnosticStatus.WARN, f'{topic.text}: no message for {silent:.0f} s'
+            return f'no message for {silent:.0f} s'
         if self._buffer.messages and not len(self._buffer):
-            return DiagnosticStatus.WARN, (
-                f'{topic.text}: no pose can be used: {self._buffer.refusals()}')
+            return f'no pose can be used: {self._buffer.refusals()}'
         if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
             why = self._buffer.refusals() or 'the stamps jumped'
-            return DiagnosticStatus.WARN, (
-                f'{topic.text}: no pose accepted for {now_s - self._useless_since_s:.0f} s: {why}')
+            return f'no pose accepted for {now_s - self._useless_since_s:.0f} s: {why}'
         if self._buffer.forgotten and now_s - self._lost_s < _RECENT_S:
-            return DiagnosticStatus.WARN, f'{topic.text}: {self._loss}'
-        if topic.doubt:
-            return DiagnosticStatus.WARN, f'{topic.text}: {self.rate_hz:.1f} Hz from {topic.doubt}'
-        return DiagnosticStatus.OK, f'{topic.text}: {self.rate_hz:.1f} Hz'
+            return self._loss
+        return topic.doubt and f'{self.rate_hz:.1f} Hz from {topic.doubt}'
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationView:
-    """What the status of the calibration is made of.
-
-    Attributes
-    ----------
-    state : outcome of the calibrations so far.
-    motion, advice : so far; the advice is None before the first.
-    limits : wanted standard deviations, metres and degrees.
-    apart_s : time between the trajectories, negative where they overlap.
-    solving : what is being solved in words, '' where nothing is.
-    waiting : a sentence where something must come first, '' otherwise.
-    values : what is reported besides.
-
-    """
+class CalibrationView(NamedTuple):
+    """What the status of the calibration is made of."""
 
     state: CalibrationState
     motion: Motion
     advice: Advice | None
+    # Wanted standard deviations, metres and degrees.
     limits: tuple[float, float]
+    # Time between the trajectories, negative where they overlap.
     apart_s: float
+    # What is being solved, and what must come first; '' where nothing.
     solving: str
     waiting: str
     values: dict[str, object]
@@ -186,38 +155,28 @@ class CalibrationView:
 
     def report(self, name: str, hardware_id: str) -> DiagnosticStatus:
         """Return it as a status."""
-        status = DiagnosticStatus(name=name, hardware_id=hardware_id, level=DiagnosticStatus.OK)
         state, result = self.state, self.state.result
-        if self.solving:
-            status.message = self.solving
-        elif state.last_failure and not state.has_moved_on(self.motion):
-            status.level, status.message = DiagnosticStatus.WARN, state.last_failure
-        elif self.waiting:
-            status.level, status.message = DiagnosticStatus.WARN, self.waiting
+        failed = state.last_failure and not state.has_moved_on(self.motion)
+        worry = '' if self.solving else state.last_failure if failed else self.waiting
         # A restored answer, or one before a reset, says nothing about what is held.
-        elif state.calibrated and not state.last_failure:
-            status.message = 'calibrated'
-        else:
-            status.message = self.sentence
-        status.values = key_values({
+        news = 'calibrated' if state.calibrated and not state.last_failure else self.sentence
+        return _status(name, hardware_id, self.solving or worry or news, {
             **self.values,
             'advice': self.sentence,
             'last_failure': state.last_failure,
             'motion_s': len(self.motion),
-            **advice_values(self.advice),
+            **_advice_values(self.advice),
             **({} if result is None else {
                 'extrinsic': headline(result), 'standard_deviations': deviations(result),
                 'findings': ' '.join(finding.code for finding in result.findings)}),
-        })
-        return status
+        }, level=WARN if worry else OK)
 
 
-def advice_values(advice: Advice | None) -> dict[str, object]:
+def _advice_values(advice: Advice | None) -> dict[str, object]:
     """Return what a calibration would say now, about the axes of sensor a."""
-    std = None if advice is None else advice.std
-    if advice is None or advice.result is None or std is None:
+    if advice is None or advice.std is None:
         return {}
-    result = advice.result
+    result, std = advice.result, advice.std
     return {
         'rotation_deg_per_motion_xyz': _three(result.observability.excitation_deg, 2),
         'predicted_translation_std_m_xyz': _three(std[:3], 4),
@@ -229,16 +188,12 @@ def advice_values(advice: Advice | None) -> dict[str, object]:
 
 def monitor_report(name: str, hardware_id: str, verdict: Verdict | None) -> DiagnosticStatus:
     """Return whether the published extrinsic still holds."""
-    status = DiagnosticStatus(name=name, hardware_id=hardware_id, level=DiagnosticStatus.OK)
     if verdict is None:
-        status.message = 'not checked yet: waiting for an extrinsic, and for motion after it'
-        return status
-    status.level = bytes([verdict.level])
-    status.message = verdict.sentence
-    status.values = key_values({
+        return _status(name, hardware_id,
+                       'not checked yet: waiting for an extrinsic, and for motion after it', {})
+    return _status(name, hardware_id, verdict.sentence, {
         'verdict': verdict.verdict, 'status': verdict.exit_status,
-        'checks in a row that found a change': verdict.checks})
-    return status
+        'checks in a row that found a change': verdict.checks}, level=bytes([verdict.level]))
 
 
 def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[str, object]:
@@ -260,9 +215,12 @@ def _three(values: Any, digits: int) -> str:
     return ' '.join(f'{value:.{digits}f}' for value in values)
 
 
-def key_values(values: dict[str, object]) -> list[KeyValue]:
-    """Return a dictionary as diagnostics carry it."""
-    return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+def _status(
+    name: str, hardware_id: str, message: str, values: dict[str, object], *, level: bytes = OK,
+) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        name=name, hardware_id=hardware_id, level=level, message=message,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])
 
 
 def time_apart_s(a: PoseBuffer, b: PoseBuffer, time_offset_s: float) -> float:

@@ -7,25 +7,25 @@
 
 from __future__ import annotations
 
+from functools import partial
 import time
 from typing import Any
 
-from geometry_msgs.msg import TransformStamped
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.vehicle_frames import Placement, VehicleFrames
-from trajectory_calibration.outputs.frame_tree import Edge
+from trajectory_calibration.online.refusal import fault_of
+from trajectory_calibration.online.vehicle_frames import difference, VehicleFrames
+from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.conversions import stamp_ns, to_transform_stamped
 from trajectory_calibration.ros.outputs import LATCHED
 from trajectory_calibration.sources.transforms import ChainFollower
 
 # How long the node listens before it publishes on /tf_static: discovery takes up to 3 seconds.
-LISTEN_S = 4.0
+_LISTEN_S = 4.0
 
 # A moving transform is looked at once in this time for where it hangs, seconds.
 _LOOK_S = 1.0
@@ -33,27 +33,14 @@ _LOOK_S = 1.0
 # As tf2's own listener and broadcaster have it.
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-MISSING = 'tf2_msgs is not installed; sudo apt install ros-jazzy-tf2-msgs'
-
 
 class VehicleTransforms:
     """Listens to /tf_static, and to /tf where that is needed; publishes where it may.
 
-    Parameters
-    ----------
-    node : Node
-        That listens.
-    publish : bool
-        Whether extrinsics go to /tf_static.
-    moving : bool
-        Whether inputs come from /tf.
-    depth : int
-        Messages of /tf that may wait while the node is busy.
-
     Attributes
     ----------
-    frames : what the vehicle publishes.
-    available : whether tf2_msgs is installed.
+    followers : get every transform, too.
+    placed : what became of the newest answer in TF, '' where TF is none of its business.
 
     Raises
     ------
@@ -64,85 +51,85 @@ class VehicleTransforms:
 
     def __init__(self, node: Node, *, publish: bool, moving: bool, depth: int) -> None:
         self._node = node
-        self.frames = VehicleFrames()
-        self._followers: list[ChainFollower] = []
+        self._frames = VehicleFrames()
+        self.followers: list[ChainFollower] = []
         self._looked_s: dict[tuple[str, str], float] = {}
         self._since_s = time.monotonic()
         self._publisher = None
+        # The newest answer until the node has listened, and its frames that nobody named.
+        self._waiting: tuple[CalibrationResult, frozenset[str]] | None = None
+        self._conflicts: tuple[str, ...] = ()
+        self.placed = ''
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError as error:
             if publish or moving:
                 what = 'publish_tf' if publish else 'a topic tf:PARENT.CHILD'
-                raise ConfigError(f'{what} needs tf2_msgs: {MISSING}') from error
+                raise ConfigError(
+                    f'{what} needs tf2_msgs: tf2_msgs is not installed; sudo apt install '
+                    'ros-jazzy-tf2-msgs') from error
             return
         self._message_type: Any = TFMessage
-        node.create_subscription(TFMessage, '/tf_static', self._on_static, _STATIC)
+        node.create_subscription(
+            TFMessage, '/tf_static', partial(self._hear, static=True), _STATIC)
         if publish or moving:
             node.create_subscription(
-                TFMessage, '/tf', self._on_moving, QoSProfile(depth=depth))
+                TFMessage, '/tf', partial(self._hear, static=False), QoSProfile(depth=depth))
         if publish:
             self._publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
 
-    def follow(self, follower: ChainFollower) -> None:
-        """Give every transform to a follower, too."""
-        self._followers.append(follower)
+    def take(self, result: CalibrationResult, invented: frozenset[str]) -> None:
+        """Take a new answer; ``invented`` are names of frames that nobody gave."""
+        if self._publisher is not None:
+            self._waiting = result, invented
+            self.placed = 'not on /tf_static yet: listening first to what the vehicle publishes'
+            self.settle()
 
-    @property
-    def publishes(self) -> bool:
-        """Whether extrinsics go to /tf_static."""
-        return self._publisher is not None
-
-    @property
-    def has_listened(self) -> bool:
-        """Whether what a vehicle publishes has had the time to arrive."""
-        return time.monotonic() - self._since_s >= LISTEN_S
-
-    def publish(self, frame_a: str, frame_b: str, T_a_b: FloatArray, invented: frozenset[str],
-                ) -> Placement:
-        """Publish the extrinsic as the edge that keeps the tree, or say why not."""
-        placement = self.frames.place(frame_a, frame_b, T_a_b, invented)
-        if placement.edge is not None and self._publisher is not None:
-            self.frames.published(placement.edge)
-            self._publisher.publish(self._message_type(transforms=[self._message(placement.edge)]))
-        return placement
-
-    def _message(self, edge: Edge) -> TransformStamped:
-        return to_transform_stamped(
-            edge.parent, edge.child, edge.T_parent_child, self._node.get_clock().now().to_msg())
-
-    def _on_static(self, message: Any) -> None:
-        for transform in message.transforms:
-            pose = _pose(transform)
-            self._look(transform, pose, static=True)
-            self._give(transform, pose, static=True)
-
-    def _on_moving(self, message: Any) -> None:
-        now_s = time.monotonic()
-        for transform in message.transforms:
-            pose = _pose(transform)
-            key = transform.header.frame_id, transform.child_frame_id
-            if now_s - self._looked_s.get(key, -_LOOK_S) >= _LOOK_S:
-                self._looked_s[key] = now_s
-                self._look(transform, pose, static=False)
-            self._give(transform, pose, static=False)
-
-    def _look(self, transform: TransformStamped, pose: tuple[float, ...], *, static: bool) -> None:
-        q = np.array(pose[3:])
-        if not np.isfinite(pose).all() or not abs(np.linalg.norm(q) - 1.0) < 0.01:
+    def settle(self) -> None:
+        """Publish what waits, once the vehicle has been heard; log what is wrong in TF."""
+        if self._publisher is None:
             return
-        T = se3.from_rotation_translation(
-            se3.quaternion_to_rotation(q / np.linalg.norm(q)), np.array(pose[:3]))
-        self.frames.add(
-            transform.header.frame_id, transform.child_frame_id, T, static=static)
+        error = self._node.get_logger().error
+        if self._waiting and time.monotonic() - self._since_s >= _LISTEN_S:
+            (result, invented), self._waiting = self._waiting, None
+            edge, reason = self._frames.place(
+                result.frame_a, result.frame_b, result.T_a_b, invented)
+            if edge is None:
+                self.placed = f'not on /tf_static: {reason}'
+                error(self.placed)
+            else:
+                self._frames.published(edge)
+                self._publisher.publish(self._message_type(transforms=[to_transform_stamped(
+                    edge.parent, edge.child, edge.T_parent_child,
+                    self._node.get_clock().now().to_msg())]))
+                self.placed = f'on /tf_static: {edge.parent} -> {edge.child}' + (
+                    reason and f' ({reason})')
+                self._node.get_logger().info(self.placed)
+        conflicts = self._frames.conflicts
+        for conflict in conflicts:
+            if conflict not in self._conflicts:
+                error(f'/tf: {conflict}')
+        self._conflicts = conflicts
 
-    def _give(self, transform: TransformStamped, pose: tuple[float, ...], *, static: bool) -> None:
-        for follower in self._followers:
-            follower.add(
-                transform.header.frame_id, transform.child_frame_id,
-                stamp_ns(transform.header.stamp), pose, static=static)
+    def today(self, result: CalibrationResult | None) -> str:
+        """Return how far an answer is from the transform that the vehicle has itself."""
+        T_today = result and self._frames.transform(result.frame_a, result.frame_b)
+        if T_today is None:
+            return ''
+        return (f"differs from the vehicle's own transform {result.frame_a} -> {result.frame_b} "
+                f'by {difference(result.T_a_b, T_today)}')
 
-
-def _pose(transform: TransformStamped) -> tuple[float, ...]:
-    t, q = transform.transform.translation, transform.transform.rotation
-    return t.x, t.y, t.z, q.x, q.y, q.z, q.w
+    def _hear(self, message: Any, *, static: bool) -> None:
+        now_s = time.monotonic()
+        for item in message.transforms:
+            parent, child = names = item.header.frame_id, item.child_frame_id
+            t, q = item.transform.translation, item.transform.rotation
+            pose = t.x, t.y, t.z, q.x, q.y, q.z, q.w
+            if static or now_s - self._looked_s.get(names, -_LOOK_S) >= _LOOK_S:
+                self._looked_s[names] = now_s
+                if fault_of(pose) is None:
+                    unit = np.array(pose[3:]) / np.linalg.norm(pose[3:])
+                    self._frames.add(parent, child, se3.from_rotation_translation(
+                        se3.quaternion_to_rotation(unit), np.array(pose[:3])), static=static)
+            for follower in self.followers:
+                follower.add(parent, child, stamp_ns(item.header.stamp), pose, static=static)

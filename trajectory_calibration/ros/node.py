@@ -20,14 +20,14 @@ from std_srvs.srv import Trigger
 
 from trajectory_calibration.errors import CalibrationError, ConfigError, counted, ResultError
 from trajectory_calibration.online.answer import describe
-from trajectory_calibration.online.background import Background, Situation
+from trajectory_calibration.online.background import Background
 from trajectory_calibration.online.motion import measure, Motion
 from trajectory_calibration.online.options import find_frames, find_type, to_config, to_limits
+from trajectory_calibration.online.overlay import Overlay
 from trajectory_calibration.online.pairing import count_pairs
-from trajectory_calibration.online.restoring import Restored
 from trajectory_calibration.online.session import Calibration, CalibrationSession, name_of
 from trajectory_calibration.online.state import CalibrationState
-from trajectory_calibration.online.store import ResultStore
+from trajectory_calibration.online.store import Restored, ResultStore
 from trajectory_calibration.online.verification import Monitor
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 from trajectory_calibration.result import CalibrationResult
@@ -41,7 +41,6 @@ from trajectory_calibration.ros.diagnostics import (
 from trajectory_calibration.ros.frames import VehicleTransforms
 from trajectory_calibration.ros.outputs import ResultPublisher
 from trajectory_calibration.ros.parameters import NodeParameters
-from trajectory_calibration.ros.placing import TransformKeeper
 from trajectory_calibration.ros.topics import (
     resolve_topic,
     TrajectorySubscription,
@@ -86,24 +85,22 @@ class CalibrationNode(Node):
         if topics[0] == topics[1]:
             raise ConfigError(
                 f'topic_a and topic_b are both {topics[0]}; needed the topics of two sensors')
-        self._started_s = time.monotonic()
+        started_s = time.monotonic()
         self._session = CalibrationSession(topics, to_limits(values))
-        self._transforms = VehicleTransforms(
-            self, publish=values['publish_tf'], moving=any(pairs),
-            depth=values['queue_depth'])
-        self._tf = TransformKeeper(self, self._transforms)
+        self._tf = VehicleTransforms(
+            self, publish=values['publish_tf'], moving=any(pairs), depth=values['queue_depth'])
         self._inputs = [
             TrajectorySubscription(
                 self, name, find_type(values[f'type_{side}']), buffer, values['queue_depth'])
-            if pair is None else TransformSubscription(name, pair, self._transforms, buffer)
+            if pair is None else TransformSubscription(name, pair, self._tf, buffer)
             for side, name, pair, buffer in zip(
                 'ab', names, pairs, self._session.buffers, strict=True)]
         self._monitors = [
-            InputMonitor(self._status_name(name), buffer, self._started_s, name_of(topic))
-            for name, buffer, topic in zip(
-                ('trajectory_a', 'trajectory_b'), self._session.buffers, topics, strict=True)]
+            InputMonitor(
+                self._status_name(f'trajectory_{side}'), buffer, started_s, name_of(topic))
+            for side, buffer, topic in zip('ab', self._session.buffers, topics, strict=True)]
         self._refusals_logged_s = 0.0
-        self._waiting_logged_s = self._started_s - _WAITING_AGAIN_S + _WAITING_LOG_S
+        self._waiting_logged_s = started_s - _WAITING_AGAIN_S + _WAITING_LOG_S
 
         self._state = CalibrationState()
         self._solved = self.create_guard_condition(self._on_solved)
@@ -112,22 +109,21 @@ class CalibrationNode(Node):
         # Whether a caller of ~/calibrate waits.
         self._called = False
         self._judged = self.create_guard_condition(self._on_judged)
-        self._background = Background(self._session, self._judged.trigger, self._started_s)
-        self._monitor = (Monitor(values['monitor_period'], values['monitor_window'])
-                         if values['monitor'] else None)
+        self._background = Background(
+            self._session, self._judged.trigger, started_s,
+            Monitor(values['monitor_period'], values['monitor_window'])
+            if values['monitor'] else None)
 
-        self._store = None
-        if values['result_directory']:
-            self._store = ResultStore(
-                values['result_directory'], self.get_fully_qualified_name())
+        self._store = (
+            ResultStore(values['result_directory'], self.get_fully_qualified_name())
+            if values['result_directory'] else None)
         self._publisher = ResultPublisher(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # A call that waits for the solver must not hold up its neighbours.
         group = ReentrantCallbackGroup()
-        self.create_service(
-            Trigger, '~/calibrate', self._on_calibrate, callback_group=group)
-        self.create_service(Trigger, '~/reset', self._on_reset, callback_group=group)
-        self.create_service(Trigger, '~/save', self._on_save, callback_group=group)
+        for name, callback in (('calibrate', self._on_calibrate), ('reset', self._on_reset),
+                               ('save', self._on_save)):
+            self.create_service(Trigger, f'~/{name}', callback, callback_group=group)
         # Steady: with use_sim_time the node's own clock stands still until a bag plays.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_WATCH_S, self._watch, clock=steady)
@@ -179,9 +175,8 @@ class CalibrationNode(Node):
         self._tf.settle()
 
     async def _on_calibrate(
-        self, request: Trigger.Request, response: Trigger.Response,
+        self, _: Trigger.Request, response: Trigger.Response,
     ) -> Trigger.Response:
-        del request
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
@@ -200,10 +195,7 @@ class CalibrationNode(Node):
         job = self._session.job(to_config(values), _frames(values))
         self._solver.start(job, values['calibration_timeout'])
 
-    def _on_reset(
-        self, request: Trigger.Request, response: Trigger.Response,
-    ) -> Trigger.Response:
-        del request
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         poses_a, poses_b = map(len, self._session.buffers)
         self._solver.cancel('stopped by a reset')
         self._background.reset()
@@ -216,10 +208,7 @@ class CalibrationNode(Node):
         self.get_logger().info(response.message)
         return response
 
-    def _on_save(
-        self, request: Trigger.Request, response: Trigger.Response,
-    ) -> Trigger.Response:
-        del request
+    def _on_save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._state.result is None:
             response.message = 'nothing to save: no calibration has succeeded yet'
         elif self._store is None:
@@ -245,14 +234,13 @@ class CalibrationNode(Node):
     def _find_restored(self) -> Restored | None:
         """Return the newest saved result; a vehicle without one starts all the same."""
         try:
-            found = self._store.latest() if self._store is not None else None
+            found = self._store.latest()
         except ResultError as error:
             self.get_logger().error(f'nothing restored: {error}')
             return None
         if found is None:
             self.get_logger().warning('nothing restored: result_directory holds no result yet')
-            return None
-        return Restored(*found)
+        return found
 
     def _offer_restored(self) -> None:
         """Publish the restored result as soon as its frames are those of the vehicle."""
@@ -267,14 +255,15 @@ class CalibrationNode(Node):
             self._state.last_failure = refusal
             self.get_logger().error(refusal)
             return
-        self._state.restored(restored.result)
-        self._publish(restored.result, None, restored=True)
+        self._state.result = restored.result
+        self._publish(restored.result)
         self.get_logger().info(f'restored {restored.path}: {describe(restored.result)}')
 
-    def _publish(self, result: CalibrationResult, overlay: Any, *, restored: bool) -> None:
+    def _publish(self, result: CalibrationResult, overlay: Overlay | None = None) -> None:
+        """Publish an answer; a restored one has no overlay."""
         self._publisher.publish(result, overlay)
-        if self._monitor is not None:
-            self._monitor.watch(result, self._session, restored=restored)
+        if self._background.monitor is not None:
+            self._background.monitor.watch(result, self._session, restored=overlay is None)
         self._tf.take(result, self._session.invented(_frames(self._settings.values())))
 
     def _on_solved(self) -> None:
@@ -293,11 +282,10 @@ class CalibrationNode(Node):
         else:
             result = outcome.result
             self._state.succeeded(result)
-            self._publish(result, outcome.overlay, restored=False)
+            self._publish(result, outcome.overlay)
             file = '' if self._store is None else self._save(self._store, result)[1]
-            text = describe(result, file, self._tf.today(result), self._tf.placed)
-            answer = True, text
-            self.get_logger().info(text)
+            answer = True, describe(result, file, self._tf.today(result), self._tf.placed)
+            self.get_logger().info(answer[1])
         if self._answer is not None:
             self._answer.set_result(answer)
             self._answer = None
@@ -313,8 +301,7 @@ class CalibrationNode(Node):
     def _report(self) -> None:
         now_s = time.monotonic()
         for monitor in self._monitors:
-            loss = monitor.new_loss(now_s)
-            if loss:
+            if loss := monitor.new_loss(now_s):
                 self.get_logger().warning(f'{monitor.name}: {loss}')
         statuses = [
             monitor.report(item.status, now_s, item.lost)
@@ -324,9 +311,9 @@ class CalibrationNode(Node):
         motion = self._measure(values)
         self._judge(values, motion, now_s)
         hardware_id = ', '.join(status.hardware_id for status in statuses)
-        view = self._view(values, motion, now_s)
-        statuses.append(view.report(self._status_name('calibration'), hardware_id))
-        if self._monitor is not None:
+        statuses.append(self._view(values, motion, now_s).report(
+            self._status_name('calibration'), hardware_id))
+        if self._background.monitor is not None:
             statuses.append(monitor_report(
                 self._status_name('monitor'), hardware_id, self._background.verdict))
         message = DiagnosticArray(status=statuses)
@@ -334,8 +321,7 @@ class CalibrationNode(Node):
         self._diagnostics.publish(message)
         if now_s - self._refusals_logged_s >= _REFUSAL_LOG_S:
             for monitor in self._monitors:
-                refusals = monitor.new_refusals()
-                if refusals:
+                if refusals := monitor.new_refusals():
                     self._refusals_logged_s = now_s
                     self.get_logger().warning(f'{monitor.name}: {refusals}')
 
@@ -344,9 +330,10 @@ class CalibrationNode(Node):
         if now_s - self._waiting_logged_s < _WAITING_AGAIN_S:
             return
         self._waiting_logged_s = now_s
-        for monitor, status in zip(self._monitors, statuses, strict=False):
-            if not monitor.received:
-                self.get_logger().info(f'waiting for {monitor.part}: {status.message}')
+        for buffer, status in zip(self._session.buffers, statuses, strict=True):
+            if not buffer.received:
+                name = status.name.rpartition(': ')[2]
+                self.get_logger().info(f'waiting for {name}: {status.message}')
 
     def _measure(self, values: Mapping[str, Any]) -> Motion:
         offset_s = self._state.time_offset_s(values['time_offset'])
@@ -356,15 +343,11 @@ class CalibrationNode(Node):
         """Have the advice kept up to date, and calibrate where it says so and is asked to."""
         if self._solver.busy:
             return
-        config, frames = to_config(values), _frames(values)
-        monitor = self._monitor
-        self._background.poll(Situation(
-            motion, config, frames, values['calibration_timeout'],
-            lambda: monitor and monitor.job(self._session, frames, config, now_s)), now_s)
+        self._background.poll(motion, to_config(values), _frames(values),
+                              values['calibration_timeout'], now_s)
         advice = self._background.advice
-        limits = values['target_translation_std'], values['target_rotation_std']
         if (values['auto_calibrate'] and not self._state.calibrated and advice is not None
-                and self._state.has_moved_on(motion) and advice.sufficient(*limits)):
+                and self._state.has_moved_on(motion) and advice.sufficient(*_limits(values))):
             self.get_logger().info(f'enough motion ({len(motion)} s): calibrating')
             self._start_solver(values)
 
@@ -377,8 +360,7 @@ class CalibrationNode(Node):
             f'{values["calibration_timeout"]:g} s')
         result = self._state.result
         return CalibrationView(
-            self._state, motion, self._background.advice,
-            (values['target_translation_std'], values['target_rotation_std']), apart_s, solving,
+            self._state, motion, self._background.advice, _limits(values), apart_s, solving,
             '' if self._restored is None else self._restored.waiting,
             {
                 'solver': values['solver'],
@@ -396,3 +378,7 @@ class CalibrationNode(Node):
 
 def _frames(values: Mapping[str, Any]) -> tuple[str, str]:
     return values['frame_a'], values['frame_b']
+
+
+def _limits(values: Mapping[str, Any]) -> tuple[float, float]:
+    return values['target_translation_std'], values['target_rotation_std']

@@ -34,24 +34,27 @@ class ResultPublisher:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._extrinsic = node.create_publisher(TransformStamped, '~/extrinsic', LATCHED)
-        self._with_covariance = node.create_publisher(
-            PoseWithCovarianceStamped, '~/extrinsic_with_covariance', LATCHED)
-        self._result = node.create_publisher(String, '~/result', LATCHED)
-        self._path_a = node.create_publisher(Path, '~/path_a', LATCHED)
-        self._path_b = node.create_publisher(Path, '~/path_b', LATCHED)
-        self._markers = node.create_publisher(MarkerArray, '~/markers', LATCHED)
+        self._publishers = {
+            name: node.create_publisher(kind, f'~/{name}', LATCHED) for name, kind in (
+                ('extrinsic', TransformStamped),
+                ('extrinsic_with_covariance', PoseWithCovarianceStamped),
+                ('result', String),
+                ('path_a', Path),
+                ('path_b', Path),
+                ('markers', MarkerArray))}
 
     def publish(self, result: CalibrationResult, overlay: Overlay | None) -> None:
         """Publish an answer; without an overlay, as after a restart, no tracks."""
         stamp: Time = self._node.get_clock().now().to_msg()
-        self._extrinsic.publish(to_transform_stamped(
-            result.frame_a, result.frame_b, result.T_a_b, stamp))
-        with_covariance = to_pose_with_covariance(result, stamp)
-        if with_covariance is not None:
-            self._with_covariance.publish(with_covariance)
-        self._result.publish(String(data=json.dumps(result.to_dict())))
+        messages = {
+            'extrinsic': to_transform_stamped(
+                result.frame_a, result.frame_b, result.T_a_b, stamp),
+            'result': String(data=json.dumps(result.to_dict()))}
+        if result.covariance is not None:
+            messages['extrinsic_with_covariance'] = to_pose_with_covariance(result, stamp)
         if overlay is not None:
-            self._path_a.publish(to_path(overlay.poses_a, overlay))
-            self._path_b.publish(to_path(overlay.poses_b, overlay))
-            self._markers.publish(to_markers(result, overlay, stamp))
+            messages['path_a'] = to_path(overlay.poses_a, overlay)
+            messages['path_b'] = to_path(overlay.poses_b, overlay)
+            messages['markers'] = to_markers(result, overlay, stamp)
+        for name, message in messages.items():
+            self._publishers[name].publish(message)

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -23,19 +24,11 @@ from trajectory_calibration.sources.cdr import PATH
 from trajectory_calibration.sources.transforms import ChainFollower
 
 
-@dataclass(frozen=True)
-class TopicStatus:
-    """What a person should know about one input.
-
-    Attributes
-    ----------
-    text : one sentence.
-    ready : whether messages can arrive.
-    doubt : what a person should check although they do, '' where nothing.
-
-    """
+class TopicStatus(NamedTuple):
+    """What a person should know about one input."""
 
     text: str
+    # Whether messages can arrive, and what to check although they do.
     ready: bool = False
     doubt: str = ''
 
@@ -43,24 +36,8 @@ class TopicStatus:
 class TrajectorySubscription:
     """One input of the node: watches a topic and fills a buffer from it.
 
-    Parameters
-    ----------
-    node : Node
-        That subscribes.
-    topic : str
-        Its name as configured, before ROS remaps it.
-    msgtype : str or None
-        The type to subscribe to; None takes what the publishers offer.
-    buffer : PoseBuffer
-        That takes the poses.
-    depth : int
-        Messages of single poses that may wait while the node is busy.
-
-    Attributes
-    ----------
-    status : what a person should know about it.
-    lost : messages that DDS says it lost.
-
+    ``msgtype`` None takes what the publishers offer; ``depth`` messages of single poses may wait
+    while the node is busy. ``lost`` counts the messages that DDS says it lost.
     """
 
     def __init__(
@@ -144,25 +121,10 @@ class TrajectorySubscription:
 
 
 class TransformSubscription:
-    """One input of the node that is a pair of frames of /tf, ``tf:map.base_link``.
+    """One input of the node that is a pair of frames of /tf, ``tf:map.base_link``."""
 
-    Parameters
-    ----------
-    name : str
-        As configured.
-    frames : tuple of str
-        The parent and the child frame.
-    transforms : VehicleTransforms
-        That hears them.
-    buffer : PoseBuffer
-        That takes the poses.
-
-    Attributes
-    ----------
-    status : what a person should know about it.
-    lost : messages lost; of /tf nobody counts them.
-
-    """
+    # Of /tf nobody counts the messages that are lost.
+    lost = 0
 
     def __init__(
         self, name: str, frames: tuple[str, str], transforms: VehicleTransforms,
@@ -170,33 +132,22 @@ class TransformSubscription:
     ) -> None:
         self._name, self._frames, self._buffer = name, frames, buffer
         self._follower = ChainFollower(*frames)
-        transforms.follow(self._follower)
-        self.lost = 0
+        transforms.followers.append(self._follower)
         self.status = TopicStatus(f'waiting for {name}')
 
     def update(self) -> None:
         """Take the poses that became known since the last call."""
         stamps_ns, poses = self._follower.take()
-        if len(stamps_ns):
-            quaternions = se3.rotation_to_quaternion(poses[:, :3, :3])
-            for stamp, position, quaternion in zip(
-                    stamps_ns.tolist(), poses[:, :3, 3].tolist(), quaternions.tolist(),
-                    strict=True):
-                self._buffer.append(stamp, self._frames, (*position, *quaternion))
+        rows = np.hstack([poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3])])
+        for stamp_ns, pose in zip(stamps_ns.tolist(), map(tuple, rows.tolist()), strict=True):
+            self._buffer.append(stamp_ns, self._frames, pose)
         waiting = self._follower.waiting_for
         self.status = (TopicStatus(f'{self._name}: {waiting}') if waiting else
                        TopicStatus(f'{self._name} from /tf', ready=True))
 
 
 def resolve_topic(node: Node, topic: str) -> str:
-    """Return the full name of a topic after ROS has remapped it.
-
-    Raises
-    ------
-    ConfigError
-        ROS accepts no such name.
-
-    """
+    """Return the full name of a topic after ROS has remapped it; ConfigError if it is none."""
     try:
         return node.resolve_topic_name(topic)
     except RuntimeError as error:
@@ -215,12 +166,9 @@ def _doubt(publishers: Sequence[TopicEndpointInfo]) -> str:
 
 def _matching_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
     """Return the most that all publishers offer: reliable, and what they keep for latecomers."""
-    reliable = all(
-        publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-        for publisher in publishers)
-    latched = all(
-        publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        for publisher in publishers)
+    profiles = [publisher.qos_profile for publisher in publishers]
+    reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in profiles)
+    latched = all(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in profiles)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
