@@ -44,7 +44,7 @@ def test_every_format_is_printed_or_written(saved, capsys, tmp_path):
             assert run(capsys, 'export', saved, '--as', name)[1] == path.read_text()
         status, _, err = run(capsys, 'export', saved, '--as', name, '--output', path)
         assert status == 2
-        assert 'overwrite it with --force' in err
+        assert 'exists; give --force to overwrite' in err
         assert run(capsys, 'export', saved, '--as', name, '--output', path, '--force')[0] == 0
 
 

@@ -12,12 +12,11 @@ import pytest
 
 from trajectory_calibration.cli.inputs import (
     add_input_arguments,
-    load_one,
     options_of,
     split_bags,
 )
 from trajectory_calibration.cli.options import add_config_options
-from trajectory_calibration.sources.inputs import InputOptions
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 
 
 def _options(*arguments):
@@ -78,9 +77,10 @@ def test_inputs_that_are_none(tmp_path, capsys, arguments, message):
 
 def test_one_input_alone(tmp_path):
     a, _, _ = write_pair(tmp_path)
-    assert load_one(a, 'lidar').sensor_frame == 'lidar'
+    assert load_inputs({'lidar': (a, InputOptions())})['lidar'].sensor_frame == 'lidar'
     bag = write_pair_bag(tmp_path / 'bag')
-    assert load_one('lidar/odom', bags=[bag]).sensor_frame == 'lidar'
+    found = load_inputs({'sensor': ('lidar/odom', InputOptions())}, [bag])
+    assert found['sensor'].sensor_frame == 'lidar'
 
 
 @pytest.mark.parametrize('page', ['inputs.md', 'from_slam.md'])

@@ -15,12 +15,13 @@ from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.cli.report import (
     add_truth_argument,
     plot_paths,
+    print_as,
     read_truth,
     require_new,
     write_failure,
     write_pages,
 )
-from trajectory_calibration.config.yaml_file import to_yaml, write_text, write_yaml
+from trajectory_calibration.config.yaml_file import write_text, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
@@ -107,17 +108,17 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
     """Write the result, the bare transform as one row that other tools read, and the exports."""
-    t, q = result.T_a_b[:3, 3], rotation_to_quaternion(result.T_a_b[:3, :3])
-    lines = [f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw']
+    row = (*result.T_a_b[:3, 3], *rotation_to_quaternion(result.T_a_b[:3, :3]))
+    text = f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
     if result.observability.unobserved:
-        lines.append(f'# not observed: {", ".join(result.observability.unobserved)}')
-    lines.append(f'0 {" ".join(f"{value:.9f}" for value in (*t, *q))}')
+        text += f'# not observed: {", ".join(result.observability.unobserved)}\n'
+    text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
         if Placement.of(result).kept_back:
             return
-        write_text(folder / TRANSFORM_FILE, ''.join(f'{line}\n' for line in lines), ResultError)
+        write_text(folder / TRANSFORM_FILE, text)
         if result.frame_a != result.frame_b:
             from trajectory_calibration.outputs.exports import write_exports
             write_exports(Placement.of(result), folder)
@@ -129,29 +130,18 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         raise ResultError(f'{error}; give another --output') from error
 
 
-def serious_lines(result: CalibrationResult) -> list[str]:
-    """Return the findings that may make the answer wrong, one line each."""
-    return [f'serious: {" ".join(found.text.split())}' for found in result.findings
-            if found.level == 'serious']
-
-
 def _print(
     result: CalibrationResult, truth: FloatArray | None, arguments: argparse.Namespace,
     written: list[Path],
 ) -> None:
-    if arguments.format == 'json':
-        import json
-        print(json.dumps(result.to_dict(truth)))
-    elif arguments.format == 'yaml':
-        print(to_yaml(result.to_dict(truth)), end='')
-    elif arguments.quiet:
-        print(format_transform(result), end='')
-        for text in serious_lines(result):
-            print(text, file=sys.stderr)
-    else:
-        print(format_result(
-            result, truth, verbose=arguments.verbose, terminal=Terminal.of()), end='')
-        if written:
-            print()
-        for path in written:
-            print(f'wrote {path}')
+    text = format_transform(result) if arguments.quiet else format_result(
+        result, truth, verbose=arguments.verbose, terminal=Terminal.of())
+    print_as(arguments.format, result.to_dict(truth), text)
+    if arguments.format != 'text':
+        return
+    if arguments.quiet:
+        for found in result.findings:
+            if found.level == 'serious':
+                print(f'serious: {" ".join(found.text.split())}', file=sys.stderr)
+    elif written:
+        print('', *(f'wrote {path}' for path in written), sep='\n')

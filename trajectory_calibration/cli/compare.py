@@ -9,9 +9,9 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli.report import require_new
-from trajectory_calibration.cli.rig_comparison import compare_saved
-from trajectory_calibration.config.yaml_file import make_folder, write_text
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.cli.rig import compare_saved
+from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
 from trajectory_calibration.outputs.fleet_page import fleet_page
@@ -72,10 +72,8 @@ def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
     if arguments.format != 'text' and comparison.exit_status:
         print('\n'.join(comparison.describe()), file=sys.stderr)
     if arguments.output is not None:
-        folder: Path = arguments.output
-        make_folder(folder, ResultError)
-        write_text(folder / 'table.csv', to_csv(comparison), ResultError)
-        write_text(folder / 'table.json', to_json(comparison) + '\n', ResultError)
-        write_text(folder / 'fleet.html', fleet_page(comparison), ResultError)
-        print(f'wrote {folder}/table.csv, table.json, fleet.html', file=sys.stderr)
+        written = to_csv(comparison), to_json(comparison) + '\n', fleet_page(comparison)
+        for name, content in zip(FILES, written, strict=True):
+            write_text(arguments.output / name, content)
+        print(f'wrote {arguments.output}/{", ".join(FILES)}', file=sys.stderr)
     return comparison.exit_status

@@ -10,7 +10,9 @@ import sys
 from textwrap import fill
 
 from trajectory_calibration.cli import exit_status
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.config.yaml_file import write_text
+from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
@@ -70,7 +72,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is None:
         print(exporter.write(item), end='')
     else:
-        _write(arguments.output, exporter.encode(item), force=arguments.force)
+        require_new([arguments.output], force=arguments.force)
+        write_text(arguments.output, exporter.encode(item))
         print(f'wrote {arguments.output}: {exporter.sentence}', file=sys.stderr)
     if item.unobserved:
         print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
@@ -101,26 +104,10 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
                 'x,y,z,roll,pitch,yaw, or --parent-urdf FILE')
         item = (item.under(frame, T_frame_sensor) if end == 'parent'
                 else item.holding(frame, T_frame_sensor))
-    if tree is not None:
-        _require_free(item, tree)
-    return item
-
-
-def _require_free(item: Placement, tree: FrameTree) -> None:
-    """Raise ConfigError where the child already has another parent in the robot."""
-    joint = tree.joints.get(item.child)
+    joint = None if tree is None else tree.joints.get(item.child)
     present = joint.parent if joint else ''
     if present not in ('', item.parent):
         raise ConfigError(
-            f'{item.child} already has the parent {present} in {tree.path}, and a link has one; '
-            f'give --child {present}, so that {present} is placed in {item.parent}')
-
-
-def _write(path: Path, data: bytes, *, force: bool) -> None:
-    try:
-        with path.open('wb' if force else 'xb') as stream:
-            stream.write(data)
-    except FileExistsError:
-        raise ConfigError(f'{path} exists; overwrite it with --force') from None
-    except OSError as error:
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
+            f'{item.child} already has the parent {present} in {arguments.urdf}, and a link has '
+            f'one; give --child {present}, so that {present} is placed in {item.parent}')
+    return item

@@ -109,15 +109,6 @@ def load_pair(
     return a, b
 
 
-def load_one(
-    name: str, sensor: str = 'sensor', options: InputOptions | None = None,
-    bags: Sequence[str] = (),
-) -> Trajectory:
-    """Read one trajectory: a file, or a topic or ``tf:PARENT.CHILD`` of bags."""
-    inputs = {sensor: (name, options or InputOptions())}
-    return load_inputs(inputs, bags)[sensor]
-
-
 def split_bags(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with ``--bag x y`` as ``--bag x --bag y``.
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import sys
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.cli.inputs import add_file_arguments, load_one, options_of
+from trajectory_calibration.cli.inputs import add_file_arguments, options_of
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.errors import ConfigError, SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.sources.files import FileSource, is_bag
-from trajectory_calibration.sources.inputs import InputOptions
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
 
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with running_clock('reading'):
-        trajectory = load_one(str(path), path.name, options)
+        trajectory, = load_inputs({path.name: (str(path), options)}).values()
         read_as = FileSource(path, **options.of_files()).describe()
     found = inspect_trajectory(trajectory, str(path), 'file')
     # The path stands above the findings, and no format of files names its frames.

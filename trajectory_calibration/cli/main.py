@@ -29,19 +29,9 @@ _COMMANDS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
+    """Run one command; return its exit status, see ``exit_status``.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments without the program's name; those of the process where omitted.
-
-    Returns
-    -------
-    int
-        The exit status: 0 done, 1 the data cannot give an answer, 2 wrong usage, 3 done but a
-        direction of the answer is open, 4 an extrinsic no longer holds.
-
+    ``argv`` is without the program's name; that of the process where omitted.
     """
     return guarded(_run, sys.argv[1:] if argv is None else argv)
 
@@ -78,7 +68,10 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 def _run(argv: Sequence[str]) -> int:
     parser, commands = _parser(argv)
     if '_ARGCOMPLETE' in os.environ:
-        _complete(parser)
+        # A shell completes a command; the extra ``completion`` may not be installed.
+        with suppress(ModuleNotFoundError):
+            import argcomplete
+            argcomplete.autocomplete(parser)
     try:
         arguments, unknown = parser.parse_known_args(split_bags(join_negative_values(argv)))
     except SystemExit as exit_:
@@ -86,8 +79,7 @@ def _run(argv: Sequence[str]) -> int:
     if unknown:
         raise ConfigError(_describe_unknown(unknown[0], argv, commands))
     arguments.argv = list(argv)
-    status: int = arguments.run(arguments)
-    return status
+    return int(arguments.run(arguments))
 
 
 def _describe_unknown(
@@ -103,13 +95,6 @@ def _describe_unknown(
     return f'{command} takes no {what} {given}{meant} See {command} --help'
 
 
-def _complete(parser: argparse.ArgumentParser) -> None:
-    """Answer a shell that completes a command, where the extra ``completion`` is installed."""
-    with suppress(ModuleNotFoundError):
-        import argcomplete
-        argcomplete.autocomplete(parser)
-
-
 def _fail(reason: str, status: int) -> int:
     print(f'error: {" ".join(reason.split())}', file=sys.stderr)
     return status
@@ -119,14 +104,6 @@ def _discard_output() -> None:
     """Give Python, which flushes standard output once more at exit, a place where that works."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _commands(argv: Sequence[str]) -> tuple[str, ...]:
-    """Return the command that was given; all of them for help, completion and wrong usage.
-
-    Importing the others takes as long as a calibration.
-    """
-    return (argv[0],) if argv and argv[0] in _COMMANDS else _COMMANDS
 
 
 def _parser(
@@ -139,7 +116,9 @@ def _parser(
         'alone.')
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
-    for command in _commands(argv):
+    # Importing the commands that were not given takes as long as a calibration; all of them are
+    # for help, completion and wrong usage.
+    for command in argv[:1] if argv and argv[0] in _COMMANDS else _COMMANDS:
         module = import_module(f'trajectory_calibration.cli.{command}')
         module.add_parser(subparsers)
         subparsers.choices[command].set_defaults(run=module.run)

@@ -55,11 +55,13 @@ def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
 
     """
     values = {} if arguments.config is None else _read_settings(arguments.config)
-    given = vars(arguments)
-    values.update({
-        option.name: given[option.name] for option in CalibrationConfig.options()
-        if option.name in given})
-    return CalibrationConfig.from_dict(values)
+    return CalibrationConfig.from_dict({**values, **given_options(arguments)})
+
+
+def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the settings that were given as options."""
+    names = {option.name for option in CalibrationConfig.options()}
+    return {name: value for name, value in vars(arguments).items() if name in names}
 
 
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
@@ -67,21 +69,20 @@ def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     # argparse expands % in a help text.
     text = f'{option.help} (default: {default})'.replace('%', '%%')
     flag = f'--{option.name.replace("_", "-")}'
-    # An option that was not given leaves no attribute: --config may have set it.
+    settings: dict[str, Any]
     if option.kind is bool:
-        group.add_argument(
-            flag, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=text)
+        settings = {'action': argparse.BooleanOptionalAction}
     elif option.extensible:
         # Which names of other packages there are is looked up for an unknown one only.
-        group.add_argument(flag, metavar='NAME', default=argparse.SUPPRESS,
-                           help=f'{text}: {", ".join(option.choices)}')
+        settings = {'metavar': 'NAME'}
+        text += f': {", ".join(option.choices)}'
     elif option.choices:
-        group.add_argument(
-            flag, choices=option.choices, default=argparse.SUPPRESS, help=text)
+        settings = {'choices': option.choices}
     else:
-        metavar = {int: 'N', float: 'X'}.get(option.kind, 'TEXT')
-        group.add_argument(
-            flag, type=option.kind, metavar=metavar, default=argparse.SUPPRESS, help=text)
+        settings = {'type': option.kind,
+                    'metavar': {int: 'N', float: 'X'}.get(option.kind, 'TEXT')}
+    # An option that was not given leaves no attribute: --config may have set it.
+    group.add_argument(flag, default=argparse.SUPPRESS, help=text, **settings)
 
 
 def _read_settings(path: Path) -> dict[str, Any]:

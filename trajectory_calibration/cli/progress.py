@@ -36,16 +36,14 @@ def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
             return
         share = done / total if total else 1.0
         filled = round(_WIDTH * share)
-        sys.stderr.write(f'\r{label} [{"#" * filled:.<{_WIDTH}}] {share:4.0%}')
-        sys.stderr.flush()
+        _write(f'\r{label} [{"#" * filled:.<{_WIDTH}}] {share:4.0%}')
         shown = True
 
     try:
         yield draw
     finally:
         if shown:
-            sys.stderr.write(_CLEAR)
-            sys.stderr.flush()
+            _write(_CLEAR)
 
 
 @contextmanager
@@ -72,9 +70,11 @@ def _tick(label: str, start: float, ended: Event) -> None:
     if ended.wait(_CLOCK_PATIENCE_S):
         return
     while True:
-        sys.stderr.write(f'\r{label}, {time.monotonic() - start:.0f} s')
-        sys.stderr.flush()
+        _write(f'\r{label}, {time.monotonic() - start:.0f} s')
         if ended.wait(_TICK_S):
             break
-    sys.stderr.write(_CLEAR)
-    sys.stderr.flush()
+    _write(_CLEAR)
+
+
+def _write(text: str) -> None:
+    print(text, end='', file=sys.stderr, flush=True)

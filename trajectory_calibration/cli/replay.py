@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import json
 from pathlib import Path
 from typing import Any
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.progress import progress_bar
-from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml, to_yaml
+from trajectory_calibration.cli.report import print_as
+from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml
 from trajectory_calibration.errors import ConfigError, TopicError
 
 _NODE_NAME = 'trajectory_calibration'
@@ -61,8 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
         tracks = reader.read([topic_a, topic_b], progress)
     session = CalibrationSession((topic_a, topic_b), to_limits(values))
-    for topic, name, buffer in ((topic_a, 'type_a', session.buffers[0]),
-                                (topic_b, 'type_b', session.buffers[1])):
+    for topic, name, buffer in zip(
+            session.topics, ('type_a', 'type_b'), session.buffers, strict=True):
         wanted = find_type(values[name])
         if wanted not in (None, tracks[topic].msgtype) and find_frames(topic) is None:
             raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
@@ -70,12 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
         feed_track(tracks[topic], buffer)
     result = session.job(
         to_config(values), (values['frame_a'], values['frame_b'])).run().result
-    if arguments.format == 'json':
-        print(json.dumps(result.to_dict()))
-    elif arguments.format == 'yaml':
-        print(to_yaml(result.to_dict()), end='')
-    else:
-        print(describe(result))
+    print_as(arguments.format, result.to_dict(), describe(result) + '\n')
     return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
 
 

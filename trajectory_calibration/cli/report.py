@@ -6,18 +6,19 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
+import json
 from pathlib import Path
 import shlex
 import sys
-from typing import TYPE_CHECKING
+from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.progress import running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import make_folder, write_text
+from trajectory_calibration.config.yaml_file import to_yaml, write_text
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.extrinsic_file import FORMS, read_extrinsic
 from trajectory_calibration.result import CalibrationResult
@@ -73,6 +74,15 @@ def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | Non
     return found.T_a_b
 
 
+def print_as(form: str, data: dict[str, Any], text: str) -> None:
+    """Print data as JSON or YAML, or else a text that ends its line itself."""
+    if form == 'json':
+        text = json.dumps(data) + '\n'
+    elif form == 'yaml':
+        text = to_yaml(data)
+    print(text, end='')
+
+
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
     """Raise ConfigError where one of the files exists, unless it may be overwritten."""
     taken = [path for path in paths if path.is_file()]
@@ -102,7 +112,7 @@ def write_pages(
     with running_clock('writing the report'):
         data = report_data(result, a, b, truth)
         if page is not None:
-            _write(page, render(data, record_of(arguments, _inputs(arguments))))
+            write_text(page, render(data, record_of(arguments, _inputs(arguments))))
             written.append(page)
         if arguments.plots is not None:
             from trajectory_calibration.outputs.plots import save_plots
@@ -117,7 +127,7 @@ def write_failure(
 ) -> None:
     """Write the page of a calibration without an answer."""
     from trajectory_calibration.outputs.report import render_failure
-    _write(arguments.report, render_failure(
+    write_text(arguments.report, render_failure(
         str(error), trajectories, config=config,
         record=record_of(arguments, _inputs(arguments))))
 
@@ -132,8 +142,3 @@ def _inputs(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
     return [('bag', Path(bag)) for bag in arguments.bag] + [
         (name, Path(getattr(arguments, name))) for name in 'ab'
         if Path(getattr(arguments, name)).is_file()]
-
-
-def _write(path: Path, text: str) -> None:
-    make_folder(path.parent, ResultError)
-    write_text(path, text, ResultError)

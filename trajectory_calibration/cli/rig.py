@@ -1,12 +1,12 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration rig``: all sensors of a vehicle in one consistent answer."""
+"""``rig``: all sensors of a vehicle in one consistent answer; ``verify``, ``compare`` of such."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 import json
 from pathlib import Path
 import sys
@@ -15,11 +15,16 @@ from typing import Any
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.cli.report import record_of, require_new
-from trajectory_calibration.config.yaml_file import make_folder, to_yaml, write_text
+from trajectory_calibration.cli.report import print_as, record_of, require_new
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.rig_comparison import (
+    comparison_csv,
+    comparison_data,
+    format_comparison,
+)
 from trajectory_calibration.outputs.rig_exports import (
     KIT_FILE,
     LAUNCH_FILE,
@@ -31,10 +36,11 @@ from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.calibration import calibrate_rig, fuse_results
+from trajectory_calibration.rig.comparison import compare_rigs, RigComparison
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.rig.result import RigResult
-from trajectory_calibration.rig.settings import PAIRS, RigConfig
-from trajectory_calibration.sources.inputs import load_inputs
+from trajectory_calibration.rig.settings import PAIRS, RigConfig, SensorSettings
+from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 
 RIG_FILE = 'rig.yaml'
 
@@ -92,25 +98,26 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigError('RIG.yaml is missing; give it, or --from-results DIR')
     else:
         description = RigDescription.load(arguments.rig)
-        bags = [*description.bags, *map(Path, arguments.bag)]
         config = _configured(description.config, arguments)
+        bags, trajectories = _read(description, arguments)
         sources = [('bag', bag) for bag in bags] + [
             (name, Path(source)) for name, (source, _) in description.inputs.items()
             if Path(source).is_file()]
-        with progress_bar('reading') as progress:
-            trajectories = load_inputs(description.inputs, bags, progress if bags else None)
         with running_clock('calibrating'):
             rig = calibrate_rig(trajectories, config)
     if arguments.output is not None:
         make_folder(arguments.output, ResultError)
         rig.save(arguments.output / RIG_FILE)
-        kept_back = write_rig_exports(rig, arguments.output)
-        if kept_back:
+        if kept_back := write_rig_exports(rig, arguments.output):
             print(f'not exported: {"; ".join(kept_back)} unknown; rig --allow-unobserved writes '
                   'them', file=sys.stderr)
     if arguments.report is not None:
-        _write_report(rig, trajectories, sources, arguments)
-    _print(rig, truth, arguments)
+        from trajectory_calibration.outputs.rig_report import render_rig
+        with running_clock('writing the report'):
+            text = render_rig(rig, trajectories, record_of(arguments, sources))
+        write_text(arguments.report, text)
+    print_as(arguments.format, rig.to_dict(), format_rig(
+        rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()))
     stream = sys.stdout if arguments.format == 'text' else sys.stderr
     for path in (arguments.output, arguments.report):
         if path is not None:
@@ -126,14 +133,13 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
     return files if arguments.report is None else [*files, arguments.report]
 
 
-def _write_report(
-    rig: RigResult, trajectories: Mapping[str, Trajectory], sources: list[tuple[str, Path]],
-    arguments: argparse.Namespace,
-) -> None:
-    from trajectory_calibration.outputs.rig_report import render_rig
-    with running_clock('writing the report'):
-        text = render_rig(rig, trajectories, record_of(arguments, sources))
-    write_text(arguments.report, text, ResultError)
+def _read(
+    description: RigDescription, arguments: argparse.Namespace,
+) -> tuple[list[Path], dict[str, Trajectory]]:
+    """Return the bags, and the trajectory of each sensor."""
+    bags = [*description.bags, *map(Path, arguments.bag)]
+    with progress_bar('reading') as progress:
+        return bags, load_inputs(description.inputs, bags, progress if bags else None)
 
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:
@@ -155,8 +161,8 @@ def _from_results(arguments: argparse.Namespace) -> RigResult:
     folder: Path = arguments.from_results
     paths = sorted(folder.rglob('*.yaml'))
     if not paths:
-        raise ConfigError(f'{folder} holds no .yaml; needed results that calibrate or a node '
-                          'saved')
+        raise ConfigError(
+            f'{folder} holds no .yaml; needed results that calibrate or a node saved')
     results: dict[frozenset[str], CalibrationResult] = {}
     failures = []
     for path in paths:
@@ -180,13 +186,49 @@ def _by_frames(config: RigConfig) -> RigConfig:
         sensors={frames[name]: sensor for name, sensor in config.sensors.items()})
 
 
-def _print(
-    rig: RigResult, truth: Mapping[str, FloatArray] | None, arguments: argparse.Namespace,
-) -> None:
-    if arguments.format == 'json':
-        print(json.dumps(rig.to_dict()))
-    elif arguments.format == 'yaml':
-        print(to_yaml(rig.to_dict()), end='')
-    else:
-        print(format_rig(rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()),
-              end='')
+def verify_rig(
+    saved: RigResult, settings: CalibrationConfig, arguments: argparse.Namespace,
+) -> int:
+    """Calibrate the sensors of RIG.yaml without priors, and compare with a saved rig."""
+    if arguments.b is not None:
+        raise ConfigError(f'{arguments.result} is a rig: give one RIG.yaml in place of A and B')
+    for name in (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b')):
+        if vars(arguments).get(name):
+            option = name.removeprefix('file_').replace('_', '-')
+            raise ConfigError(f'--{option} is for A and B; write how a sensor is read below it in '
+                              f'{arguments.a}')
+    _, trajectories = _read(RigDescription.load(Path(arguments.a)), arguments)
+    config = replace(
+        saved.config, base=saved.base, calibration=settings, sensors={
+            name: SensorSettings(scale=saved.config.of(name).scale) for name in trajectories})
+    with running_clock('verifying'):
+        found = compare_rigs(saved, calibrate_rig(trajectories, config))
+    _print_comparison(found, arguments.format)
+    return _status([found])
+
+
+def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
+    """Compare saved rigs with the first of them."""
+    first, *others = map(RigResult.load, paths)
+    found = [compare_rigs(first, other) for other in others]
+    for path, one in zip(paths[1:], found, strict=True):
+        if arguments.format == 'text':
+            print(f'{path} against {paths[0]}')
+        _print_comparison(one, arguments.format)
+        if arguments.output is not None:
+            folder: Path = arguments.output / path.stem if len(others) > 1 else arguments.output
+            write_text(folder / 'table.csv', comparison_csv(one))
+            write_text(folder / 'table.json', json.dumps(comparison_data(one)) + '\n')
+    return _status(found)
+
+
+def _print_comparison(found: RigComparison, form: str) -> None:
+    print_as(form, comparison_data(found),
+             comparison_csv(found) if form == 'csv' else format_comparison(found))
+
+
+def _status(found: Sequence[RigComparison]) -> int:
+    """Return 4 where a sensor moved, 3 where one could not be compared."""
+    if not all(item.holds for item in found):
+        return exit_status.CHANGED
+    return exit_status.DONE if all(item.whole for item in found) else exit_status.OPEN

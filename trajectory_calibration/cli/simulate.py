@@ -99,12 +99,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
     """Return the files that ``--force`` overwrites."""
-    names = ['truth.tum']
-    if arguments.format == 'tum':
-        names += ['a.tum', 'b.tum']
-    elif (arguments.output / 'bag').exists():
-        # Never overwritten: writing it says so, before the truth is written.
-        names = []
+    names = ['truth.tum', 'a.tum', 'b.tum']
+    if arguments.format != 'tum':
+        # A bag is never overwritten: writing it says so, before the truth is written.
+        names = [] if (arguments.output / 'bag').exists() else names[:1]
     return [arguments.output / name for name in names]
 
 
@@ -148,13 +146,13 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     """Write the files; return the command that calibrates them."""
     folder: Path = arguments.output
     make_folder(folder, SourceError)
-    truth = folder / 'truth.tum'
+    truth, a, b, bag = (folder / name for name in ('truth.tum', 'a.tum', 'b.tum', 'bag'))
+    inputs: list[Path | str]
     if arguments.format == 'tum':
-        inputs: list[Path | str] = [folder / 'a.tum', folder / 'b.tum']
-        write_tum(folder / 'a.tum', pair.a)
-        write_tum(folder / 'b.tum', pair.b)
+        inputs = [a, b]
+        write_tum(a, pair.a)
+        write_tum(b, pair.b)
     else:
-        bag = folder / 'bag'
         inputs = ['--bag', bag, *TOPICS]
         write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
                   message=arguments.message, storage=arguments.format)

@@ -10,9 +10,13 @@ import json
 from pathlib import Path
 
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
-from trajectory_calibration.cli.options import add_config_options, config_from_arguments
+from trajectory_calibration.cli.options import (
+    add_config_options,
+    config_from_arguments,
+    given_options,
+)
 from trajectory_calibration.cli.progress import running_clock
-from trajectory_calibration.cli.rig_comparison import verify_rig
+from trajectory_calibration.cli.rig import verify_rig
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.verification import verify
@@ -63,6 +67,4 @@ def _config(saved: CalibrationConfig, arguments: argparse.Namespace) -> Calibrat
     """Return the settings of the saved result, changed by what was given."""
     if arguments.config is not None:
         return config_from_arguments(arguments)
-    names = {option.name for option in CalibrationConfig.options()}
-    return replace(saved, **{
-        name: value for name, value in vars(arguments).items() if name in names})
+    return replace(saved, **given_options(arguments))

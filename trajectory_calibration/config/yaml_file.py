@@ -156,10 +156,12 @@ def make_folder(path: Path, error: type[CalibrationError]) -> None:
         raise error(f'{path} cannot be made: {cause.strerror or cause}') from cause
 
 
-def write_text(path: Path, text: str, error: type[CalibrationError] = ResultError) -> None:
-    """Write UTF-8 over what is at ``path``, in a folder that is made where there is none."""
+def write_text(
+    path: Path, text: str | bytes, error: type[CalibrationError] = ResultError,
+) -> None:
+    """Write over what is at ``path``, in UTF-8, in a folder that is made where there is none."""
     make_folder(path.parent, error)
     try:
-        path.write_text(text, encoding='utf-8')
+        path.write_bytes(text.encode() if isinstance(text, str) else text)
     except OSError as cause:
         raise error(f'{path} cannot be written: {cause.strerror or cause}') from cause
