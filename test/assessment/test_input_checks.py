@@ -106,7 +106,7 @@ def test_a_constant_orientation_is_refused_before_anything_else():
     a, b = pair('drone')
     constant = with_rotations(a, np.broadcast_to(a.rotations[0], a.rotations.shape))
     for one, other in ((constant, b), (b, constant)):
-        with pytest.raises(MotionError, match=r'the orientation never changes over .* m of way'):
+        with pytest.raises(MotionError, match=r'the orientation never changes over .* m driven'):
             calibrate(one, other)
 
 

@@ -434,7 +434,7 @@ def test_dnlo_alternation_never_goes_up():
 def test_zhuang_warns_where_its_parameter_magnifies_noise():
     rng = np.random.default_rng(0)
     solution = solve('zhuang', *sensor_pair(rng, BACK_TO_BACK))
-    assert 'turned by 180 degrees' in str(solution.findings[0])
+    assert 'rotated by 180 degrees' in str(solution.findings[0])
     assert solve('zhuang', *sensor_pair(rng, IDENTITY)).findings == ()
 
 

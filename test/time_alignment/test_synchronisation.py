@@ -220,7 +220,8 @@ def test_unrelated_turning_is_not_significant(seeds):
 def test_unrelated_turning_is_no_offset_to_add(seed):
     a, b = unrelated(seed)
     assert synchronise(a, b, 0.25, 'auto', 5.0).offset_s == 0.25
-    with pytest.raises(AssociationError, match=r'within 5 s cannot be told: a and b did not turn'):
+    with pytest.raises(
+            AssociationError, match=r'within 5 s cannot be found: a and b did not turn'):
         synchronise(a, b, 0.25, 'estimate', 5.0)
 
 

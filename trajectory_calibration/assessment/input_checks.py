@@ -129,7 +129,7 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     scale = ('give it (scale)' if solver == 'drift_aware' else
              'give it (scale), or use solver drift_aware, which finds it')
     raise MotionError(
-        f'the rotation that {solver} found does not fit: half of the turns differ by '
+        f'the rotation that {solver} found does not fit: half of the rotations differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
 
@@ -218,9 +218,9 @@ def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
     if mirrored is not None and mirrored.one_body and (
             mirrored.misfit < _MUCH_LESS * found.misfit):
         raise MotionError(
-            f'one of {frames} is in a left-handed frame: mirrored, it misses '
-            f'{mirrored.turn_share:.1%} of the turns and {mirrored.way_share:.1%} of the way, as '
-            f'it is {found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
+            f'one of {frames} is in a left-handed frame: mirrored, {mirrored.turn_share:.1%} of '
+            f'the rotations and {mirrored.way_share:.1%} of the translations differ, as read '
+            f'{found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
 
 
 def _refuse_other_reading(
@@ -234,9 +234,9 @@ def _refuse_other_reading(
         return
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
-        f'{frames} do not fit as read: {what}? Then {best.way_share:.1%} of the way and '
-        f'{best.turn_share:.1%} of the turns differ, instead of {found.way_share:.0%} and '
-        f'{found.turn_share:.0%}. Use {option}')
+        f'{frames} do not fit as read: {what}? Then {best.way_share:.1%} of the '
+        f'translations and {best.turn_share:.1%} of the rotations differ, instead of '
+        f'{found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
 
 
 def _other_readings(
@@ -298,7 +298,7 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     """Raise MotionError where independent errors do not explain what the two do apart."""
     found = list(fits(pairs))
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    advice = ('Are they of one vehicle at the same time? check the topics or files, and the '
+    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
               'clocks (max_time_offset is how far apart they may be)')
     turned = max(found, key=lambda item: item.turned_apart)
     factor = growth(found, 'turned_apart')

@@ -56,14 +56,13 @@ def require_orientation(trajectory: Trajectory) -> None:
     # The trace tells a turn by t to within t^2 / 2, and rounding of 1e-16 is a turn of 1e-8.
     if 3.0 - float(np.trace(turned, axis1=1, axis2=2).min()) < _DIGITS**2:
         raise MotionError(
-            f'{name}: the orientation never changes over {rounded(way.sum(), 3)} m of way: '
+            f'{name}: the orientation never changes over {rounded(way.sum(), 3)} m driven: '
             'positions alone (GNSS without an INS?) cannot be calibrated. Give poses whose '
             'orientation is measured')
     if _is_course(trajectory):
         raise MotionError(
             f'{name}: the orientation is the course over ground, computed from the positions, '
-            'which says nothing of how the sensor is turned. Give poses whose orientation is '
-            'measured, as of an INS')
+            'not that of the sensor. Give poses whose orientation is measured, as of an INS')
 
 
 def _is_course(trajectory: Trajectory) -> bool:
@@ -147,7 +146,8 @@ def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
         return ()
     return (Finding(
         'quaternion-order', f'is w first in the quaternions? Then it moves along one of its axes '
-        f'({other:.0%} of the way; as read {ahead:.0%}), as a vehicle: --quaternion-order wxyz',
+        f'({other:.0%} of the distance; as read {ahead:.0%}), as a vehicle: '
+        '--quaternion-order wxyz',
         {'share_as_read': ahead, 'share_w_first': other}),)
 
 

@@ -60,12 +60,12 @@ def render_rig(
     parts = [
         _box(rig),
         section(1, 'Where is each sensor?', _tree(rig) + views,
-                'Every pose is in the frame of the base; ellipses hold a sensor with 95 %.',
+                'Every pose is in the frame of the base.',
                 columns=2),
         section(2, 'Do the pairs agree?', _matrix(rig) + _misfits(rig),
-                'Every pair was calibrated alone; here is how far it is from the rig.'),
+                'Every pair was calibrated alone; here is its difference from the rig.'),
         section(3, 'How noisy is each sensor?', _noise(rig),
-                'From what pairs of sensors differ by; three sensors or more tell whose it is.',
+                'Found from the differences of pairs, which needs three sensors or more.',
                 columns=2),
         section(4, 'Do the tracks coincide?', _tracks(rig, trajectories or {}),
                 'All tracks carried into the base, in its clock and unit, laid on each other.'),
@@ -135,7 +135,7 @@ def _tree(rig: RigResult) -> str:
         canvas.text(x, y - 11, f'{name}{note}', 'middle')
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
     return figure('pairs', canvas,
-                  f'{used} of {counted(len(rig.pairs), "pair")} have part in the answer.')
+                  f'{used} of {counted(len(rig.pairs), "pair")} are used in the answer.')
 
 
 def _pair_style(pair: PairReport) -> str:
@@ -183,10 +183,10 @@ def _misfits(rig: RigResult) -> str:
         t, R = (np.linalg.norm((pair.residual * known)[part]) for part in (slice(3), slice(3, 6)))
         s, r = (np.linalg.norm((pair.std * known)[part]) for part in (slice(3), slice(3, 6)))
         rows.append((f'{pair.parent} - {pair.child}',
-                     f'{1e3 * t:.1f} mm of {1e3 * s:.1f}' if s else 'unknown',
-                     f'{np.rad2deg(R):.3f} deg of {np.rad2deg(r):.3f}' if r else 'unknown',
+                     f'{1e3 * t:.1f} +- {1e3 * s:.1f} mm' if s else 'unknown',
+                     f'{np.rad2deg(R):.3f} +- {np.rad2deg(r):.3f} deg' if r else 'unknown',
                      f'{pair.poses:,}', 'yes' if pair.used else 'no'))
-    head = ('pair', 'from the rig, of its own deviation', 'rotation', 'poses', 'used')
+    head = ('pair', 'difference +- deviation', 'rotation', 'poses', 'used')
     return f'<div class="card two">{table(head, rows, "numbers")}</div>'
 
 

@@ -49,8 +49,8 @@ _CODES = {
     'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
 
 _ASSUMED = Finding('rig-shared-noise', (
-    'each sensor is taken to have half of what its pairs err: results hold no trajectories, or '
-    'these are too short to tell. For deviations that rest on data, run rig RIG.yaml on the drive'
+    'assumed: each sensor causes half of the error of its pairs. Saved results hold no '
+    'trajectories, or these are too short. To measure it, run rig RIG.yaml on a longer drive'
 ))
 
 # What a driver does about a component that is open.

@@ -97,7 +97,7 @@ def _worst_in_loops(
         names = ', '.join(tree.names[k] for k in left)
         return None, Contradiction(
             tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
-            'three sensors none can be told from the others: add a sensor, or check all',
+            'three sensors the wrong one cannot be named: add a sensor, or check all',
             now.chi_squared, now.degrees, probability(now.chi_squared, now.degrees))
     p_rest, gain, degrees, k, _ = max(told, key=lambda item: (item[0], item[1]))
     name = tree.names[k]

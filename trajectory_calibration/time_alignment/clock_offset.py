@@ -169,7 +169,7 @@ def synchronise(
         if mode == 'auto':
             return Clock(time_offset_s)
         raise AssociationError(
-            f'the clock offset within {max_offset_s:g} s cannot be told: {a.sensor_frame} and '
+            f'the clock offset within {max_offset_s:g} s cannot be found: {a.sensor_frame} and '
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
             'raise max_time_offset')
     rivals = tuple(time_offset_s + seconds for seconds in found.rivals)
