@@ -246,9 +246,9 @@ def test_the_features_are_the_squares_of_the_residual():
     M = (motions.A @ X - X @ motions.B)[:, :3]
     np.testing.assert_allclose(
         products @ quadratic.features(motions.A, motions.B), np.sum(M**2, axis=(1, 2)), rtol=1e-12)
+    rows = quadratic.rows(motions.A, motions.B, rotation=False)
     np.testing.assert_allclose(
-        products @ quadratic.features(motions.A, motions.B, rotation=False),
-        np.sum(M[:, :, 3]**2, axis=1), rtol=1e-12)
+        np.sum(np.tensordot(v, rows, 1)**2, axis=0), np.sum(M[:, :, 3]**2, axis=1), rtol=1e-12)
 
 
 def test_a_newton_step_on_the_whole_extrinsic_ends_at_the_minimum():

@@ -10,6 +10,8 @@ the same estimating equations, at a fraction of the cost.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from trajectory_calibration.geometry import se3
@@ -37,26 +39,20 @@ def frobenius(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
     root = np.sqrt(2.0)
     equations.residual[:, ROTATION] = root * se3.log_so3(R_At @ C[:, :3, :3])
     equations.jacobian[:, ROTATION, 3:] = root * (R_At - _IDENTITY)
-    equations.disturbance[:, ROTATION, 3:] = root * _IDENTITY
     return equations
 
 
 def translation_only(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
     """Return the equations of ``sum |R_A t + t_A - R t_B - t|^2``; the rotation rows are zero."""
     t = T_a_b[:3, 3]
-    R_C = C[:, :3, :3]
     D = A[:, :3, :3] - _IDENTITY
     # R t_B: where b went, in the axes of a.
-    moved = C[:, :3, 3] - t + R_C @ t
-    residual = np.zeros((len(A), 6))
-    jacobian = np.zeros((len(A), 6, 6))
-    disturbance = np.zeros((len(A), 6, 6))
+    moved = C[:, :3, 3] - t + C[:, :3, :3] @ t
+    residual, jacobian = np.zeros((len(A), 6)), np.zeros((len(A), 6, 6))
     residual[:, TRANSLATION] = D @ t + A[:, :3, 3] - moved
     jacobian[:, TRANSLATION, :3] = D
     jacobian[:, TRANSLATION, 3:] = se3.skew(moved)
-    disturbance[:, TRANSLATION, :3] = -R_C
-    disturbance[:, TRANSLATION, 3:] = R_C @ se3.skew(t)
-    return Equations(residual, jacobian, jacobian, disturbance)
+    return Equations(residual, jacobian, jacobian)
 
 
 def separable(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
@@ -65,11 +61,7 @@ def separable(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
     phi = se3.log_so3(C[:, :3, :3])
     equations.residual[:, ROTATION] = se3.log_so3(A[:, :3, :3]) - phi
     equations.jacobian[:, ROTATION, 3:] = se3.skew(phi)
-    # log(R exp(eta)) = phi + J_r^-1 eta, and J_r is J_l transposed.
-    equations.disturbance[:, ROTATION, 3:] = -np.swapaxes(
-        se3.left_jacobian_so3_inverse(phi), 1, 2)
     # The rotation is found first: the translation rows have no say in it.
     instrument = equations.jacobian.copy()
     instrument[:, TRANSLATION, 3:] = 0.0
-    return Equations(
-        equations.residual, equations.jacobian, instrument, equations.disturbance)
+    return replace(equations, instrument=instrument)

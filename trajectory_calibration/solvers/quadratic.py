@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cost ``sum |A X - X B|^2`` as one quadratic form, and its minimum over SE(3).
 
-The cost of a motion is a sum of 91 products of the entries of ``v = (vec R, t, 1)``, 13 numbers
-with R row by row. The sum over all motions is therefore ``v^T G v`` with one 13 x 13 Gram matrix:
-whatever is done with the cost afterwards does not depend on the number of motions.
+The residuals of a motion are linear in ``v = (vec R, t, 1)``, 13 numbers with R row by row. The
+cost of all motions is therefore ``v^T G v`` with one 13 x 13 Gram matrix: whatever is done with
+the cost afterwards does not depend on the number of motions.
 
-With the unit quaternions (a_0, a) of R_A and (b_0, b) of R_B, the rotation's part
-``|R_A R - R R_B|^2 = 8 sin^2(w / 2)``, w the angle between the two products, is
+With the unit quaternions (a_0, a) of R_A and (b_0, b) of R_B, the rotation's part is
 
-    8 |a_0 R b - b_0 a - a x R b|^2 = 8 (|R b|^2 + b_0^2 |a|^2 - (a^T R b)^2 - 2 a_0 b_0 a^T R b),
+    |R_A R - R R_B|^2 = 8 sin^2(w / 2) = 8 |a_0 R b - b_0 a - a x R b|^2,
 
-which is three rows instead of nine, and closed form in the products.
+w the angle between the two products: three rows instead of nine.
 """
 
 from __future__ import annotations
@@ -55,21 +54,14 @@ CHUNK = 8192
 UPPER = np.triu_indices(13)
 _TWICE = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
 
-# The place of each product among them.
 _PLACE = np.zeros((13, 13), dtype=np.intp)
 _PLACE[UPPER] = _PLACE[UPPER[::-1]] = np.arange(91)
-_OF_R, _OF_T = np.triu_indices(9), np.triu_indices(3)
-_R_R, _R_T, _T_T = _PLACE[_OF_R], _PLACE[:9, 9:12].reshape(3, 3, 3), _PLACE[9:12, 9:12][_OF_T]
-_ROW_ROW = [_PLACE[m:m + 3, m:m + 3][_OF_T] for m in (0, 3, 6)]
-_DOUBLED_R, _DOUBLED_T = (np.where(of[0] == of[1], 1.0, 2.0) for of in (_OF_R, _OF_T))
-_R_ONE, _T_ONE, _ONE_ONE = _PLACE[:9, 12], _PLACE[9:12, 12], _PLACE[12, 12]
 
 # v without the translation.
 _OUTER = np.r_[0:9, 12]
 
 # The generators of rotation.
 _E = se3.skew(np.eye(3))
-_AXIAL = (np.array([1, 2, 0]), np.array([2, 0, 1]))
 
 # The 24 rotations of a cube: no rotation is farther than 63 degrees from one of them.
 _CUBE = np.array([
@@ -108,37 +100,38 @@ def require_motion(motions: MotionPairs) -> None:
                 'motions. Drive curves, and a ramp or a bank')
 
 
-def features(A: FloatArray, B: FloatArray, *, rotation: bool = True) -> FloatArray:
+def rows(A: FloatArray, B: FloatArray, *, rotation: bool = True) -> FloatArray:
+    """Return (13, 6, M): times v, the residuals of (M, 4, 4) motions A and B.
+
+    Without ``rotation``, (13, 3, M): only the translation ``R_A t + t_A - R t_B - t``.
+    """
+    # Motions along the last axis, so that each operation runs over contiguous numbers.
+    found = np.zeros((13, 6, len(A)))
+    t_b = B[:, :3, 3].T
+    for i in range(3):
+        found[3 * i:3 * i + 3, 3 + i] = -t_b
+    found[9:12, 3:] = (A[:, :3, :3] - np.eye(3)).transpose(2, 1, 0)
+    found[12, 3:] = A[:, :3, 3].T
+    if not rotation:
+        return found[:, 3:]
+    q_a, q_b = (se3.rotation_to_quaternion(T[:, :3, :3]) for T in (A, B))
+    root = np.sqrt(8.0)
+    turn = root * (q_a[:, 3, None, None] * np.eye(3) - se3.skew(q_a[:, :3]))
+    b = q_b[:, :3].T
+    for m in range(3):
+        found[3 * m:3 * m + 3, :3] = turn[:, :, m].T * b[:, None]
+    found[12, :3] = -root * q_b[:, 3] * q_a[:, :3].T
+    return found
+
+
+def features(A: FloatArray, B: FloatArray) -> FloatArray:
     """Return (91, M): ``|A X - X B|^2`` of each motion is their sum times v_i v_j, see ``UPPER``.
 
-    A and B are (M, 4, 4). Without ``rotation``, only the translation row
-    ``|R_A t + t_A - R t_B - t|^2``.
+    A and B are (M, 4, 4).
     """
-    t_a, t_b = np.ascontiguousarray(A[:, :3, 3].T), np.ascontiguousarray(B[:, :3, 3].T)
-    # Motions along the last axis, so that each operation runs over contiguous numbers.
-    D = np.ascontiguousarray(np.moveaxis(A[:, :3, :3] - np.eye(3), 0, 2))
-    found = np.empty((91, len(A)))
-    found[_R_T] = -2 * D[:, None] * t_b[None, :, None]
-    found[_T_ONE] = 2 * np.einsum('mik,mk->ik', D, t_a)
-    found[_T_T] = _DOUBLED_T[:, None] * np.einsum('mik,mjk->ijk', D, D)[_OF_T]
-    of_rows = _DOUBLED_T[:, None] * t_b[_OF_T[0]] * t_b[_OF_T[1]]
-    of_ones = -2 * (t_a[:, None] * t_b).reshape(9, -1)
-    constant = np.einsum('mk,mk->k', t_a, t_a)
-    found[_R_R] = 0.0
-    if rotation:
-        q_a, q_b = (np.ascontiguousarray(se3.rotation_to_quaternion(T[:, :3, :3]).T)
-                    for T in (A, B))
-        a, b = q_a[:3], q_b[:3]
-        p = (a[:, None] * b).reshape(9, -1)
-        found[_R_R] = (-8 * _DOUBLED_R)[:, None] * p[_OF_R[0]] * p[_OF_R[1]]
-        of_rows += (8 * _DOUBLED_T)[:, None] * b[_OF_T[0]] * b[_OF_T[1]]
-        of_ones -= 16 * (q_a[3] * q_b[3]) * p
-        constant += 8 * q_b[3]**2 * np.einsum('mk,mk->k', a, a)
-    for row in _ROW_ROW:
-        found[row] += of_rows
-    found[_R_ONE] = of_ones
-    found[_ONE_ONE] = constant
-    return found
+    found = rows(A, B)
+    products = [np.einsum('rm,jrm->jm', found[i], found[i:]) for i in range(13)]
+    return _TWICE[:, None] * np.concatenate(products)
 
 
 def form(sums: FloatArray) -> FloatArray:
@@ -149,11 +142,16 @@ def form(sums: FloatArray) -> FloatArray:
 
 def gram(motions: MotionPairs, *, rotation: bool = True) -> FloatArray:
     """Return the (13, 13) Gram matrix of all motions, or of their translation rows only."""
-    sums = np.zeros(91)
-    for start in range(0, len(motions), CHUNK):
-        part = slice(start, start + CHUNK)
-        sums += features(motions.A[part], motions.B[part], rotation=rotation).sum(axis=1)
-    return form(sums)
+    G = np.zeros((13, 13))
+    for part in parts(motions):
+        found = rows(motions.A[part], motions.B[part], rotation=rotation).reshape(13, -1)
+        G += found @ found.T
+    return G
+
+
+def parts(motions: MotionPairs) -> list[slice]:
+    """Return slices of motions few enough to be worked on at once."""
+    return [slice(start, start + CHUNK) for start in range(0, len(motions), CHUNK)]
 
 
 def monomials(T_a_b: FloatArray) -> FloatArray:
@@ -234,6 +232,14 @@ def linear_start(G: FloatArray) -> FloatArray:
     return se3.nearest_rotation(v[:9].reshape(3, 3))
 
 
+def without_translation(G: FloatArray) -> FloatArray:
+    """Return the (..., 10, 10) forms in ``u = (vec R, 1)``, each at the best translation."""
+    G_ut = G[..., _OUTER, :][..., 9:12]
+    F = G[..., _OUTER, :][..., _OUTER] - G_ut @ np.linalg.solve(
+        G[..., 9:12, 9:12], np.swapaxes(G_ut, -1, -2))
+    return np.asarray(0.5 * (F + np.swapaxes(F, -1, -2)), dtype=np.float64)
+
+
 def best_translation(G: FloatArray, R: FloatArray) -> FloatArray:
     """Return the (..., 3) translations that minimise the cost for (..., 3, 3) rotations."""
     u = _with_one(R)
@@ -249,10 +255,7 @@ def minimise_rotations(
     ``G`` is one (13, 13) matrix or one for each start, (S, 13, 13). Returns the rotations, their
     costs (S,), and the number of iterations. It ends with steps below the tolerance, radians.
     """
-    G_ut = G[..., _OUTER, :][..., 9:12]
-    F = G[..., _OUTER, :][..., _OUTER] - G_ut @ np.linalg.solve(
-        G[..., 9:12, 9:12], np.swapaxes(G_ut, -1, -2))
-    F = np.broadcast_to(0.5 * (F + np.swapaxes(F, -1, -2)), (len(starts), 10, 10))
+    F = np.broadcast_to(without_translation(G), (len(starts), 10, 10))
     scale = np.maximum(np.einsum('kii->k', F[:, :9, :9]), np.finfo(float).tiny)
     R = np.array(starts)
     cost = _cost(F, R)
@@ -288,43 +291,55 @@ def polish(
     A Gram matrix squares the condition of the problem; one step on the true residuals gives back
     the digits, which is what lets noise-free data be recovered to machine precision.
     """
-    H, g = np.zeros((6, 6)), np.zeros(6)
-    for start in range(0, len(motions), CHUNK):
-        part = slice(start, start + CHUNK)
-        J, residual = _residuals(T_a_b, motions.A[part], motions.B[part], rotation=rotation)
+    slopes, H, g = _slopes(T_a_b), np.zeros((6, 6)), np.zeros(6)
+    for part in parts(motions):
+        found = rows(motions.A[part], motions.B[part], rotation=rotation)
         if weights is not None:
-            root = np.sqrt(weights[part])
-            J, residual = J * root, residual * root
-        J, residual = J.reshape(6, -1), residual.ravel()
+            found *= np.sqrt(weights[part])
+        found = found.reshape(13, -1)
+        J = slopes @ found
         H += J @ J.T
-        g += J @ residual
-    return se3.moved(T_a_b, -determined_inverse(H, len(motions)) @ g)
-
-
-def determined_inverse(H: FloatArray, motions: int) -> FloatArray:
-    """Return the inverse of a (6, 6) sum of squares in (t, theta), zero where that is rounding."""
-    eigenvalues, Q = _determined(H, motions)
-    inverse: FloatArray = (Q / eigenvalues) @ Q.T
-    return inverse
-
-
-def determined_directions(H: FloatArray, motions: int) -> FloatArray:
-    """Return (6, K) directions that span what a sum of squares in (t, theta) determines."""
-    return _determined(H, motions)[1]
+        g += J @ (monomials(T_a_b) @ found)
+    Q = determined_directions(H, len(motions))
+    return se3.moved(T_a_b, -Q @ (Q.T @ g))
 
 
 def newton_step(G: FloatArray, T_a_b: FloatArray, motions: int) -> FloatArray:
     """Return a (4, 4) extrinsic one Newton step nearer to the minimum of ``v^T G v``."""
-    R = T_a_b[:3, :3]
-    Gv = G @ monomials(T_a_b)
-    K = R @ Gv[:9].reshape(3, 3).T
-    first = (_E @ R).reshape(3, 9)
-    across = G[:12, :9] @ first.T
-    H = np.empty((6, 6))
-    H[:3, :3], H[:3, 3:], H[3:, :3] = G[9:12, 9:12], across[9:], across[9:].T
-    H[3:, 3:] = first @ across[:9] + 0.5 * (K + K.T) - np.trace(K) * np.eye(3)
-    g = np.concatenate([Gv[9:12], (K - K.T)[_AXIAL]])
-    return se3.moved(T_a_b, -determined_inverse(H, motions) @ g)
+    slopes, Gv = _slopes(T_a_b), G @ monomials(T_a_b)
+    H = slopes @ G @ slopes.T
+    H[3:, 3:] += _bend(T_a_b[:3, :3], Gv[:9].reshape(3, 3))
+    Q = determined_directions(H, motions)
+    return se3.moved(T_a_b, -Q @ (Q.T @ (slopes @ Gv)))
+
+
+def determined_directions(H: FloatArray, motions: int) -> FloatArray:
+    """Return (6, K) Q with ``Q^T H Q = I``: what a sum of squares in (t, theta) determines.
+
+    ``Q Q^T`` is its inverse, zero where that is rounding.
+    """
+    largest = np.diagonal(H).reshape(2, 3).max(axis=1)
+    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
+    eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
+    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
+    found: FloatArray = Q[:, kept] / np.sqrt(eigenvalues[kept]) / scale[:, None]
+    return found
+
+
+def _slopes(T_a_b: FloatArray) -> FloatArray:
+    """Return (6, 13), the derivatives of v in (t, theta)."""
+    slopes = np.zeros((6, 13))
+    slopes[:3, 9:12] = np.eye(3)
+    slopes[3:, :9] = (_E @ T_a_b[:3, :3]).reshape(3, 9)
+    return slopes
+
+
+def _bend(R: FloatArray, N: FloatArray) -> FloatArray:
+    """Return (..., 3, 3), half the second derivative in theta of ``2 sum N * exp(theta) R``."""
+    K = R @ np.swapaxes(N, -1, -2)
+    trace = np.trace(K, axis1=-2, axis2=-1)[..., None, None]
+    bend: FloatArray = 0.5 * (K + np.swapaxes(K, -1, -2)) - trace * np.eye(3)
+    return bend
 
 
 def _lowest(G: FloatArray, starts: FloatArray) -> Minimum:
@@ -336,19 +351,9 @@ def _lowest(G: FloatArray, starts: FloatArray) -> Minimum:
 
 def _determines_rotation(G: FloatArray, T_a_b: FloatArray) -> bool:
     """Tell whether a form determines the rotation at its minimum, but for rounding."""
-    J = (_E @ T_a_b[:3, :3]).reshape(3, 9)
-    across = J @ G[:9, 9:12]
-    S = J @ G[:9, :9] @ J.T - across @ np.linalg.solve(G[9:12, 9:12], across.T)
-    eigenvalues = np.linalg.eigvalsh(0.5 * (S + S.T))
+    J = _slopes(T_a_b)[3:, :9]
+    eigenvalues = np.linalg.eigvalsh(J @ without_translation(G)[:9, :9] @ J.T)
     return bool(eigenvalues[0] > _UNDETERMINED * eigenvalues[-1])
-
-
-def _determined(H: FloatArray, motions: int) -> tuple[FloatArray, FloatArray]:
-    largest = np.diagonal(H).reshape(2, 3).max(axis=1)
-    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
-    eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
-    return eigenvalues[kept], Q[:, kept] / scale[:, None]
 
 
 def _with_one(R: FloatArray) -> FloatArray:
@@ -364,32 +369,7 @@ def _cost(F: FloatArray, R: FloatArray) -> FloatArray:
 
 def _derivatives(F: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (S, 3) gradients and (S, 3, 3) Hessians in theta of ``exp(theta) R``."""
-    N = (F[:, :9] @ _with_one(R)[:, :, None]).reshape(-1, 3, 3)
-    # The derivative along a generator E is 2 tr(E K).
-    K = R @ np.swapaxes(N, 1, 2)
+    N = F[:, :9] @ _with_one(R)[:, :, None]
     first = (_E @ R[:, None]).reshape(-1, 3, 9)
-    hessian = 2 * first @ F[:, :9, :9] @ np.swapaxes(first, 1, 2) + K + np.swapaxes(K, 1, 2)
-    hessian -= 2 * np.trace(K, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    antisymmetric = 2 * (K - np.swapaxes(K, 1, 2))
-    return antisymmetric[:, _AXIAL[0], _AXIAL[1]], hessian
-
-
-def _residuals(
-    T_a_b: FloatArray, A: FloatArray, B: FloatArray, *, rotation: bool,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (6, 6, M) derivatives in (t, theta), one row a parameter, and (6, M) residuals."""
-    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
-    J, residual = np.zeros((6, 6, len(A))), np.zeros((6, len(A)))
-    D = A[:, :3, :3] - np.eye(3)
-    moved = B[:, :3, 3] @ R.T
-    residual[3:] = (D @ t + A[:, :3, 3] - moved).T
-    J[:3, 3:] = D.transpose(2, 1, 0)
-    J[3:, 3:] = se3.skew(moved).transpose(2, 1, 0)
-    if rotation:
-        q_a, q_b = (se3.rotation_to_quaternion(T[:, :3, :3]) for T in (A, B))
-        a, c = q_a[:, :3], q_b[:, :3] @ R.T
-        root = np.sqrt(8.0)
-        turn = root * (q_a[:, 3, None, None] * np.eye(3) - se3.skew(a))
-        residual[:3] = (turn @ c[:, :, None])[:, :, 0].T - root * (q_b[:, 3:] * a).T
-        J[3:, :3] = -(turn @ se3.skew(c)).transpose(2, 1, 0)
-    return J, residual
+    hessian = first @ F[:, :9, :9] @ np.swapaxes(first, 1, 2) + _bend(R, N.reshape(-1, 3, 3))
+    return 2 * (first @ N)[:, :, 0], 2 * hessian

@@ -38,8 +38,6 @@ class SolverInfo:
     needs_reference : whether it works on the relative motions to a reference; without, it works
         on the pose pairs, and a reference changes only the residuals that are reported.
     estimates : which of ``TERMS`` it can estimate.
-    rejects_outliers : whether it excludes motions that do not fit.
-    separable : whether it finds the rotation from rotations alone, and then the translation.
     identifies_noise : whether its covariance follows from the noise that it identified in the
         data; such a solver judges the references for the others.
 
@@ -50,8 +48,6 @@ class SolverInfo:
     function: str | Callable[..., Any]
     needs_reference: bool = True
     estimates: frozenset[str] = frozenset()
-    rejects_outliers: bool = False
-    separable: bool = False
     identifies_noise: bool = False
 
     def load(self) -> Callable[..., Any]:
@@ -68,18 +64,18 @@ _ROWS = (
     SolverInfo('dnl', 'direct nonlinear least squares (Valimaki et al. 2023)',
                f'{_HERE}.dnl:solve'),
     SolverInfo('dnlo', 'the same with outlier rejection (Valimaki et al. 2023)',
-               f'{_HERE}.dnlo:solve', rejects_outliers=True),
+               f'{_HERE}.dnlo:solve'),
     SolverInfo('ali', 'nonlinear, translation rows only (Ali et al. 2019, cost Xc1)',
                f'{_HERE}.ali:solve'),
     SolverInfo('park', 'separable: rotation vectors aligned, then translation (Park et al. 2020)',
-               f'{_HERE}.separable:solve', separable=True),
+               f'{_HERE}.separable:solve'),
     SolverInfo('taylor', 'separable: Kabsch, then translation (Taylor and Nieto 2015)',
-               f'{_HERE}.separable:solve', separable=True),
+               f'{_HERE}.separable:solve'),
     SolverInfo('drift_aware', 'maximum likelihood with white noise, drift and jumps in one model',
                f'{_HERE}.drift_aware:solve', needs_reference=False, estimates=frozenset(TERMS),
-               rejects_outliers=True, identifies_noise=True),
+               identifies_noise=True),
     SolverInfo('zhuang', 'Gauss-Newton in z = tan(w/2) k (Zhuang and Qu 1994)',
-               f'{_HERE}.zhuang:solve', separable=True),
+               f'{_HERE}.zhuang:solve'),
 )
 SOLVER_NAMES = tuple(row.name for row in _ROWS)
 

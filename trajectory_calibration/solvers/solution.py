@@ -32,15 +32,12 @@ class Equations:
     residual : (M, 6), r: three of the rotation, three of the translation.
     jacobian : (M, 6, 6), derivative of r in the parameters.
     instrument : (M, 6, 6), Z: the jacobian for least squares, part of it for methods in stages.
-    disturbance : (M, 6, 6), derivative of r in eta, ``C exp(eta)``, the error of a motion as
-        sensor b reports it, in the axes of a.
 
     """
 
     residual: FloatArray
     jacobian: FloatArray
     instrument: FloatArray
-    disturbance: FloatArray
 
 
 class Linearise(Protocol):

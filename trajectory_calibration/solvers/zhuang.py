@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
@@ -96,41 +97,35 @@ def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArra
     """
     equations = linear.translation_only(T_a_b, A, C)
     rotation, translation = linear.ROTATION, linear.TRANSLATION
-    phi_a, phi_c = se3.log_so3(A[:, :3, :3]), se3.log_so3(C[:, :3, :3])
-    angle_a = np.linalg.norm(phi_a, axis=1, keepdims=True)
-    angle_c = np.linalg.norm(phi_c, axis=1, keepdims=True)
-    turns = (np.minimum(angle_a, angle_c) > _NO_AXIS).astype(np.float64)
-    k_a = turns * phi_a / np.maximum(angle_a, _NO_AXIS)
-    k_c = turns * phi_c / np.maximum(angle_c, _NO_AXIS)
-    equations.residual[:, rotation] = k_a - k_c
-    equations.jacobian[:, rotation, 3:] = se3.skew(k_c)
-    across = (np.eye(3) - k_c[:, :, None] * k_c[:, None, :]) / np.maximum(
-        angle_c, _NO_AXIS)[:, :, None]
-    equations.disturbance[:, rotation, 3:] = -turns[:, :, None] * across @ np.swapaxes(
-        se3.left_jacobian_so3_inverse(phi_c), 1, 2)
+    (k_a, turns_a), (k_c, turns_c) = (_axes(moved) for moved in (A, C))
+    turns = (turns_a & turns_c)[:, None]
+    equations.residual[:, rotation] = turns * (k_a - k_c)
+    equations.jacobian[:, rotation, 3:] = se3.skew(turns * k_c)
     z = _to_z(T_a_b[:3, :3] @ R_turn.T)
     W = np.eye(3) - se3.skew(z)
     by_theta = 0.5 * (W + np.outer(z, z))
     jacobian, residual = np.empty_like(equations.jacobian), np.empty_like(equations.residual)
-    disturbance = np.empty_like(equations.disturbance)
-    for rows in (rotation, translation):
-        plain = equations.residual[:, rows]
-        residual[:, rows] = plain @ W.T
-        jacobian[:, rows] = W @ equations.jacobian[:, rows]
-        jacobian[:, rows, 3:] += se3.skew(plain) @ by_theta
-        disturbance[:, rows] = W @ equations.disturbance[:, rows]
-    return Equations(residual, jacobian, jacobian, disturbance)
+    for part in (rotation, translation):
+        plain = equations.residual[:, part]
+        residual[:, part] = plain @ W.T
+        jacobian[:, part] = W @ equations.jacobian[:, part]
+        jacobian[:, part, 3:] += se3.skew(plain) @ by_theta
+    return Equations(residual, jacobian, jacobian)
+
+
+def _axes(motions: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the (M, 3) axes of (M, 4, 4) motions, and which of them turn enough to have one."""
+    phi = se3.log_so3(motions[:, :3, :3])
+    angle = np.linalg.norm(phi, axis=1)
+    return phi / np.maximum(angle, _NO_AXIS)[:, None], angle > _NO_AXIS
 
 
 def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:
     """Return the (16, 16) Gram matrix in (z_i t_j row by row, z, t, 1), b turned by R_turn."""
-    phi_a = se3.log_so3(motions.A[:, :3, :3])
-    phi_b = se3.log_so3(motions.B[:, :3, :3]) @ R_turn.T
+    (k_a, turns_a), (k_b, turns_b) = _axes(motions.A), _axes(motions.B)
+    turns = turns_a & turns_b
+    k_a, k_b = k_a[turns], k_b[turns] @ R_turn.T
     t_a, t_b = motions.A[:, :3, 3], motions.B[:, :3, 3] @ R_turn.T
-    angle_a, angle_b = np.linalg.norm(phi_a, axis=1), np.linalg.norm(phi_b, axis=1)
-    turns = (angle_a > _NO_AXIS) & (angle_b > _NO_AXIS)
-    k_a = phi_a[turns] / angle_a[turns, None]
-    k_b = phi_b[turns] / angle_b[turns, None]
     f = np.zeros((len(k_a), 3, 16))
     f[:, :, 9:12] = se3.skew(k_a + k_b)
     f[:, :, 15] = k_a - k_b
