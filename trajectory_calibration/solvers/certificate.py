@@ -22,51 +22,33 @@ Optimization", 2004, section 5.1 (the bound).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers import quadratic
+
+# A gap below this share of the cost proves the answer.
+PROVEN = 1e-6
 
 _MAX_PROJECTIONS = 300
 
 # Eigenvalues above this share of the largest, negative, are zero but for rounding.
 _ROUNDING = 1e-11
 
-# A gap below this share of the cost proves the answer.
-_PROVEN = 1e-6
 
+def certify(G: FloatArray, T_a_b: FloatArray) -> float:
+    """Return how much lower ``v^T G v`` (13, 13) could be than at a (4, 4) answer, at most.
 
-@dataclass(frozen=True)
-class Certificate:
-    """How far below the cost of an answer any other could be.
-
-    Attributes
-    ----------
-    gap : upper bound of the difference, in units of the cost; zero where it is proven.
-    relative_gap : the same as a share of the cost.
-    proven : whether the answer is the global minimum, to one part in a million.
-
+    As a share of the cost there; zero is a proof.
     """
-
-    gap: float
-    relative_gap: float
-    proven: bool
-
-
-def certify(G: FloatArray, T_a_b: FloatArray) -> Certificate:
-    """Bound the global minimum of ``v^T G v`` (13, 13) from below, at a (4, 4) answer."""
-    outer = np.r_[0:9, 12]
-    F = G[np.ix_(outer, outer)] - G[np.ix_(outer, range(9, 12))] @ np.linalg.solve(
-        G[9:12, 9:12], G[np.ix_(range(9, 12), outer)])
+    F = quadratic.without_translation(G)
     size = float(np.trace(F[:9, :9]))
     u = np.append(T_a_b[:3, :3].ravel(), 1.0)
-    cost = max(float(u @ F @ u), 0.0)
-    lowest = _raise_lowest(0.5 * (F + F.T) / size, u) * size
+    lowest = _raise_lowest(F / size, u) * size
     gap = 4.0 * max(-lowest - _ROUNDING * size, 0.0)
     # A cost of rounding errors only has no parts in a million.
-    floor = max(cost, _ROUNDING * size)
-    return Certificate(gap, gap / floor, gap <= _PROVEN * floor)
+    return gap / max(float(u @ F @ u), _ROUNDING * size)
 
 
 def _raise_lowest(F: FloatArray, u: FloatArray) -> float:
@@ -99,31 +81,23 @@ def _raise_lowest(F: FloatArray, u: FloatArray) -> float:
 
 
 def _constraints() -> FloatArray:
-    """Return (K, 10, 10) symmetric Q with ``u^T Q u = 0`` at every rotation; the last is e e^T."""
-    def entry(i: int, j: int) -> int:
-        return 3 * i + j
+    """Return (22, 10, 10) Q with ``u^T Q u = 0`` at every rotation; the last is e e^T."""
+    found: list[FloatArray] = []
 
-    found = []
+    def add(products: FloatArray, linear: FloatArray, constant: float) -> None:
+        found.append(0.5 * np.block([
+            [products, linear[:, None]], [linear[None], np.array([[2 * constant]])]]))
 
-    def add(products: list[tuple[int, int, float]]) -> None:
-        Q = np.zeros((10, 10))
-        for a, b, factor in products:
-            Q[a, b] += 0.5 * factor
-            Q[b, a] += 0.5 * factor
-        found.append(Q)
-
-    for i in range(3):
-        for j in range(i, 3):
-            one = [(9, 9, -1.0)] if i == j else []
-            add([(entry(i, k), entry(j, k), 1.0) for k in range(3)] + one)
-            add([(entry(k, i), entry(k, j), 1.0) for k in range(3)] + one)
-    for i in range(3):
+    axes = np.eye(3)
+    cross = se3.skew(axes)
+    for i, j in np.ndindex(3, 3):
         # The cofactor of every entry is the entry itself: both handedness conditions at once.
-        for j in range(3):
-            i1, i2, j1, j2 = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
-            add([(entry(i1, j1), entry(i2, j2), 1.0), (entry(i1, j2), entry(i2, j1), -1.0),
-                 (entry(i, j), 9, -1.0)])
-    add([(9, 9, 1.0)])
+        add(np.kron(cross[i], cross[j]), -np.kron(axes[i], axes[j]), 0.0)
+        if i <= j:
+            both = np.outer(axes[i], axes[j]) + np.outer(axes[j], axes[i])
+            for rows_or_columns in (np.kron(both, axes), np.kron(axes, both)):
+                add(rows_or_columns, np.zeros(9), -float(i == j))
+    add(np.zeros((9, 9)), np.zeros(9), 1.0)
     return np.array(found)
 
 

@@ -28,7 +28,7 @@ from trajectory_calibration.errors import require, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.certificate import Certificate, certify
+from trajectory_calibration.solvers.certificate import certify, PROVEN
 from trajectory_calibration.solvers.solution import Solution
 
 # Starts of the search that follows a failed certificate.
@@ -39,15 +39,11 @@ _MANY = 500
 # solver (MUMPS) has global state, so that a program of its own for each thread would not do.
 _IPOPT = Lock()
 
-# Quiet. Below this tolerance its line search is lost in the rounding of the cost; the last digits
-# come from a step on the residuals.
-IPOPT_OPTIONS = {
-    'print_time': False,
-    'ipopt.print_level': 0,
-    'ipopt.sb': 'yes',
-    'ipopt.tol': 1e-9,
-    'ipopt.max_iter': 200,
-}
+QUIET = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
+
+# Below this tolerance its line search is lost in the rounding of the cost; the last digits come
+# from a step on the residuals.
+_IPOPT_OPTIONS = {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.max_iter': 200}
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
@@ -62,32 +58,31 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
 
     """
     quadratic.require_motion(motions)
-    minimum, certificate = lowest_minimum(quadratic.gram(motions), config.prior)
+    minimum, gap = lowest_minimum(quadratic.gram(motions), config.prior)
     T_a_b, cost, iterations = minimise_with_ipopt(minimum.form, minimum.T_a_b)
     doubt = Finding(
         'minimum-not-proven',
         'dnl: the minimum is not proven to be the lowest; another could have a cost lower by up '
-        f'to {certificate.relative_gap:.2g} times its own. Compare with dnlo',
-        {'relative_gap': certificate.relative_gap})
+        f'to {gap:.2g} times its own. Compare with dnlo', {'relative_gap': gap})
     return Solution(quadratic.polish(T_a_b, motions), cost, iterations,
-                    linearise=linear.frobenius, optimality_gap=certificate.relative_gap,
-                    findings=() if certificate.proven else (doubt,))
+                    linearise=linear.frobenius, optimality_gap=gap,
+                    findings=() if gap <= PROVEN else (doubt,))
 
 
 def lowest_minimum(
     G: FloatArray, prior: Prior | None = None,
-) -> tuple[quadratic.Minimum, Certificate]:
-    """Return the lowest minimum of ``v^T G v`` over SE(3), and how far it is proven to be that.
+) -> tuple[quadratic.Minimum, float]:
+    """Return the lowest minimum of ``v^T G v`` over SE(3), and its gap; see ``certify``.
 
     The cost is not convex in the rotation: the search is over more and more of SO(3) until a
     proof holds that no other rotation costs less.
     """
     for starts in (lambda: quadratic.linear_start(G)[None], lambda: None, _many_rotations):
         minimum = quadratic.minimise(G, starts(), prior)
-        certificate = certify(minimum.form, minimum.T_a_b)
-        if certificate.proven:
+        gap = certify(minimum.form, minimum.T_a_b)
+        if gap <= PROVEN:
             break
-    return minimum, certificate
+    return minimum, gap
 
 
 def _many_rotations() -> FloatArray:
@@ -149,7 +144,7 @@ def _program() -> Any:
     cost = ca.dot(v, ca.mtimes(ca.reshape(G, 13, 13), v))
     return ca.nlpsol(
         'dnl', 'ipopt',
-        {'x': ca.vertcat(theta, t), 'p': ca.vertcat(G, R_start), 'f': cost}, IPOPT_OPTIONS)
+        {'x': ca.vertcat(theta, t), 'p': ca.vertcat(G, R_start), 'f': cost}, _IPOPT_OPTIONS)
 
 
 def symbolic_monomials(ca: Any, theta: Any, t: Any, R_start: Any) -> Any:

@@ -36,7 +36,7 @@ from trajectory_calibration.errors import counted, MotionError, require
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.dnl import run_ipopt, symbolic_monomials
+from trajectory_calibration.solvers.dnl import QUIET, run_ipopt, symbolic_monomials
 from trajectory_calibration.solvers.least_trimmed_squares import Candidates, TrimmedCost
 from trajectory_calibration.solvers.solution import Solution
 
@@ -59,9 +59,6 @@ _PARTS = 4
 # The paper's start: rotation vector, translation and all weights. The authors' rotation matrix
 # is the transpose of the usual one, hence the signs.
 _PAPER_START = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
-
-# Ipopt's own tolerances and scaling, as in the paper.
-_IPOPT_OPTIONS = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
@@ -161,7 +158,8 @@ def _program(motions: int) -> Any:
     p = ca.MX.sym('p', 91 * motions + 1)
     alpha = x[6:]
     squares = ca.mtimes(ca.reshape(p[:-1], motions, 91), phi(x[:3], x[3:6]))
-    # The constant M c is left out, as in the authors' program: Ipopt's scaling sees the rest.
+    # The constant M c is left out, as in the authors' program: Ipopt's scaling sees the rest. Its
+    # tolerances are its own, as there.
     cost = ca.dot(alpha, squares) - p[-1] * ca.sum1(alpha)
     return ca.nlpsol(
-        'dnlo', 'ipopt', {'x': x, 'p': p, 'f': cost, 'g': ca.sum1(alpha)}, _IPOPT_OPTIONS)
+        'dnlo', 'ipopt', {'x': x, 'p': p, 'f': cost, 'g': ca.sum1(alpha)}, QUIET)

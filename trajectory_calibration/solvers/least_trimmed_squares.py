@@ -74,11 +74,9 @@ class TrimmedCost:
         cls, motions: MotionPairs, c: float, min_inliers: float, prior: Prior | None = None,
     ) -> TrimmedCost:
         """Return the cost over motions of which the share ``min_inliers`` must be kept."""
-        parts = (slice(start, start + quadratic.CHUNK)
-                 for start in range(0, len(motions), quadratic.CHUNK))
-        features = [quadratic.features(motions.A[part], motions.B[part]) for part in parts]
-        together = features[0] if len(features) == 1 else np.concatenate(features, axis=1)
-        return cls(together, c, min_inliers * len(motions), prior)
+        features = [quadratic.features(motions.A[part], motions.B[part])
+                    for part in quadratic.parts(motions)]
+        return cls(np.concatenate(features, axis=1), c, min_inliers * len(motions), prior)
 
     def thinned(self, count: int) -> TrimmedCost:
         """Return the cost over every n-th motion, at most ``count`` of them."""
