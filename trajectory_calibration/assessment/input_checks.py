@@ -10,7 +10,7 @@ what independent errors leave between them, never by fixed angles.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 
@@ -23,12 +23,15 @@ from trajectory_calibration.assessment.orientation_checks import (
     require_orientation,
 )
 from trajectory_calibration.assessment.rigid_fit import (
+    as_read,
     best_fit,
-    fit_like,
     fits,
     growth,
+    mirrored,
     NOT_BY_NOISE,
+    Read,
     RigidFit,
+    turn_share,
 )
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
@@ -71,8 +74,6 @@ _PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
 
 # Share by which the rotation of a solver may fit worse than the best one.
 _WORSE_FIT = 0.1
-# Motions that tell it.
-_FEW_MOTIONS = 500
 
 
 def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> None:
@@ -116,20 +117,13 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     best = best_fit(pairs)
     if best is None or not best.one_body:
         return
-    i = np.arange(0, len(pairs) - best.lag, max(1, len(pairs) // _FEW_MOTIONS))
-    turn_a, turn_b = (
-        se3.log_so3(np.swapaxes(poses[i, :3, :3], 1, 2) @ poses[i + best.lag, :3, :3])
-        for poses in (pairs.poses_a, pairs.poses_b))
-    square = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
-    most = square >= np.quantile(square, 0.75)
-    apart = np.sum((turn_a - turn_b @ T_a_b[:3, :3].T)**2, axis=1)
-    share = float(np.sqrt(np.median(apart[most] / (2 * square[most] + np.finfo(float).tiny))))
+    share = turn_share(pairs, best.lag, T_a_b[:3, :3])
     if share <= best.turn_share + _WORSE_FIT:
         return
     scale = ('give it (scale)' if solver == 'drift_aware' else
              'give it (scale), or use solver drift_aware, which finds it')
     raise MotionError(
-        f'the rotation that {solver} found does not fit: half of the rotations differ by '
+        f'the rotation that {solver} found does not fit: half of the turns differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
 
@@ -179,64 +173,53 @@ def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
     The equations are as true of those, and the answer is then the pose of one world in another.
     """
     steps = [least_steps(trajectory) for trajectory in (a, b)]
-    if not all(_looks_inverted(item, _INVERTED_EACH) for item in steps):
+    if not all(as_read > _INVERTED_EACH * inverted for as_read, inverted in steps):
         return False
-    fit = best_fit(replace(
-        pairs, poses_a=se3.inverse(pairs.poses_a), poses_b=se3.inverse(pairs.poses_b)))
+    fit = best_fit(pairs, se3.inverse, se3.inverse)
     as_read, inverted = np.prod(steps, axis=0)
     # Errors of the poses are no motion.
     return bool(as_read > _INVERTED**2 * inverted and fit is not None
                 and min(min(item) for item in steps) > _OF_NOISE * fit.way_apart)
 
 
-def _looks_inverted(steps: tuple[float, float], factor: float) -> bool:
-    as_read, inverted = steps
-    return as_read > factor * inverted
+def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
+    """Raise MotionError where a mirrored world explains what is left."""
+    fit = best_fit(pairs, read_b=mirrored, seconds=(found.lag_s,))
+    if fit is not None and fit.one_body and fit.misfit < _MUCH_LESS * found.misfit:
+        raise MotionError(
+            f'one of {frames} is in a left-handed frame: mirrored, it misses '
+            f'{fit.turn_share:.1%} of the turns and {fit.way_share:.1%} of the way, as '
+            f'it is {found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
 
 
-# What was written, the option that reads it, and how: the poses as they were meant.
-_Read = Callable[[FloatArray], FloatArray]
-
-
-def _reordered(shift: int) -> _Read:
+def _reordered(shift: int) -> Read:
     def read(poses: FloatArray) -> FloatArray:
         q = np.roll(se3.rotation_to_quaternion(poses[:, :3, :3]), shift, axis=1)
         return se3.from_rotation_translation(se3.quaternion_to_rotation(q), poses[:, :3, 3])
     return read
 
 
-_READINGS: tuple[tuple[str, str, _Read], ...] = (
+# What was written, the option that reads it, and the poses as they were meant.
+_ORDERS: tuple[tuple[str, str, Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
-    ('inverted poses (of the world in the sensor)', '--invert{}', se3.inverse),
 )
-
-
-def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
-    """Raise MotionError where a mirrored world explains what is left."""
-    mirrored = fit_like(found, pairs, mirrored=True)
-    if mirrored is not None and mirrored.one_body and (
-            mirrored.misfit < _MUCH_LESS * found.misfit):
-        raise MotionError(
-            f'one of {frames} is in a left-handed frame: mirrored, {mirrored.turn_share:.1%} of '
-            f'the rotations and {mirrored.way_share:.1%} of the translations differ, as read '
-            f'{found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
+_INVERSE = 'inverted poses (of the world in the sensor)', '--invert{}', se3.inverse
 
 
 def _refuse_other_reading(
     found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> None:
     """Raise MotionError where another reading of the numbers makes the two those of one body."""
-    frames = f'{a.sensor_frame} and {b.sensor_frame}'
     candidates = [item for item in _other_readings(found, pairs, a, b, config)
                   if item[0].one_body and item[0].misfit < _MUCH_LESS * found.misfit]
     if not candidates:
         return
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
-        f'{frames} do not fit as read: {what}? Then {best.way_share:.1%} of the '
-        f'translations and {best.turn_share:.1%} of the rotations differ, instead of '
-        f'{found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
+        f'{a.sensor_frame} and {b.sensor_frame} do not fit as read: {what}? Then '
+        f'{best.way_share:.1%} of the way and {best.turn_share:.1%} of the turns differ, instead '
+        f'of {found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
 
 
 def _other_readings(
@@ -244,61 +227,51 @@ def _other_readings(
 ) -> Iterator[tuple[RigidFit, str, str]]:
     """Yield how well other readings fit, what they are, and the options for them.
 
-    Of two that are not one body as they are read, the clocks are not known either: they are
-    matched anew. Of one body they are.
+    Of two that are not one body as they are read, the clocks are not known either: where one is
+    read otherwise they are matched anew. Of one body they are.
     """
-    def read_pairs(read: _Read, sensors: str) -> RigidFit | None:
-        changed = replace(
-            pairs, poses_a=read(pairs.poses_a) if 'a' in sensors else pairs.poses_a,
-            poses_b=read(pairs.poses_b) if 'b' in sensors else pairs.poses_b)
-        return fit_like(found, changed) if found.one_body else best_fit(changed)
-
-    def read_anew(read: _Read, name: str) -> RigidFit | None:
-        given = {'a': a, 'b': b}
-        given[name] = replace(given[name], poses=read(given[name].poses))
+    def fit_of(read_a: Read, read_b: Read) -> RigidFit | None:
+        if found.one_body:
+            return best_fit(pairs, read_a, read_b, (found.lag_s,))
+        if as_read not in (read_a, read_b):
+            return best_fit(pairs, read_a, read_b)
+        changed = (replace(trajectory, poses=read(trajectory.poses))
+                   for trajectory, read in ((a, read_a), (b, read_b)))
         with suppress(AssociationError):
-            return best_fit(match(given['a'], given['b'], config)[1])
+            return best_fit(match(*changed, config)[1])
         return None
 
-    for what, option, read in _READINGS[:2]:
-        both = read_pairs(read, 'ab')
+    def of_one(what: str, option: str, read: Read) -> list[tuple[RigidFit, str, str]]:
+        single = ((fit_of(read, as_read), a, '-a'), (fit_of(as_read, read), b, '-b'))
+        return [(fit, f'does {sensor.sensor_frame} hold {what}', option.format(name))
+                for fit, sensor, name in single if fit is not None]
+
+    for what, option, read in _ORDERS:
+        both = fit_of(read, read)
         if both is not None:
             yield both, f'do both hold {what}', option.format('')
-    for what, option, read in _READINGS:
-        single = []
-        for name, trajectory in (('a', a), ('b', b)):
-            fit = read_pairs(read, name) if found.one_body else read_anew(read, name)
-            if fit is not None:
-                single.append((fit, name, trajectory))
-        if read is se3.inverse:
-            yield from _inverted_one(single)
-        else:
-            yield from ((fit, f'does {trajectory.sensor_frame} hold {what}',
-                         option.format(f'-{name}')) for fit, name, trajectory in single)
-
-
-def _inverted_one(
-    single: list[tuple[RigidFit, str, Trajectory]],
-) -> Iterator[tuple[RigidFit, str, str]]:
-    """Yield one reading: that of the sensor whose own motion tells, or either."""
-    if not single:
-        return
-    told = [item for item in single if _looks_inverted(least_steps(item[2]), _INVERTED)]
-    if len(told) == 1:
-        fit, name, trajectory = told[0]
-        what = f'does {trajectory.sensor_frame} hold inverted poses (of the world in the sensor)'
-        yield fit, what, f'--invert-{name}'
-    else:
-        yield (min((item[0] for item in single), key=lambda item: item.misfit),
+        yield from of_one(what, option, read)
+    inverted = of_one(*_INVERSE)
+    told = [_moves_less_inverted(sensor) for sensor in (a, b)]
+    if len(inverted) == 2 and told[0] != told[1]:
+        yield inverted[told.index(True)]
+    elif inverted:
+        # Its own motion tells of neither.
+        yield (min((item[0] for item in inverted), key=lambda fit: fit.misfit),
                'does one of them hold inverted poses (of the world in the sensor)',
                '--invert-a or --invert-b, whichever it is')
+
+
+def _moves_less_inverted(trajectory: Trajectory) -> bool:
+    as_read, inverted = least_steps(trajectory)
+    return as_read > _INVERTED * inverted
 
 
 def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     """Raise MotionError where independent errors do not explain what the two do apart."""
     found = list(fits(pairs))
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
+    advice = ('Are they of one vehicle at the same time? check the topics or files, and the '
               'clocks (max_time_offset is how far apart they may be)')
     turned = max(found, key=lambda item: item.turned_apart)
     factor = growth(found, 'turned_apart')

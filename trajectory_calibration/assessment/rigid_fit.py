@@ -10,7 +10,7 @@ their numbers (inverted, another order of the quaternion, mirrored) makes them s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ _MOTIONS, _LEAST_MOTIONS = 300, 5
 # Rounds of reweighting, and those of them that find the rotation by itself.
 _ROUNDS, _ALONE = 8, 2
 
-# Metres and radians that are rounding.
-_ROUNDING = 1e-12
+# Squared metres and radians that are rounding.
+_TINY = 1e-24
 
 # Larger turns (radians) are left out: half a turn one way is half a turn the other way.
 _LARGEST_TURN = 2.6
@@ -41,6 +41,20 @@ _LARGEST_TURN = 2.6
 # One body: the sensors turn apart by less than this share of their turns and move apart by less
 # than this share of their way, over one lag at least.
 _TURN_SHARE, _WAY_SHARE = 0.1, 0.2
+
+
+# How the (K, 4, 4) poses of a sensor are to be read.
+Read = Callable[[FloatArray], FloatArray]
+
+
+def as_read(poses: FloatArray) -> FloatArray:
+    """Return poses as they are."""
+    return poses
+
+
+def mirrored(poses: FloatArray) -> FloatArray:
+    """Return poses in a world whose axes point the other way."""
+    return se3.from_rotation_translation(poses[:, :3, :3], -poses[:, :3, 3])
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,6 @@ class RigidFit:
     turn_share : the same as a share, of the quarter of the motions that turns most.
     way_apart : metres that stay unexplained, median over the motions.
     way_share : the same as a share of the way, of the longer half of the motions.
-    scale : metres of a per metre of b, negative for a mirror image.
 
     """
 
@@ -65,7 +78,6 @@ class RigidFit:
     turn_share: float
     way_apart: float
     way_share: float
-    scale: float
 
     @property
     def one_body(self) -> bool:
@@ -79,35 +91,40 @@ class RigidFit:
 
 
 def fits(
-    pairs: PosePairs, *, mirrored: bool = False, seconds: Sequence[float] = LAGS_S,
+    pairs: PosePairs, read_a: Read = as_read, read_b: Read = as_read,
+    seconds: Sequence[float] = LAGS_S,
 ) -> Iterator[RigidFit]:
-    """Yield the fit over each lag that the pairs have enough motions for."""
+    """Yield the fit over each lag that the pairs, read so, have enough motions for."""
     seen = set()
     for lag_s in seconds:
         (lag,) = lag_grid(pairs.stamps_ns, (lag_s,), 1.0)
         if lag <= _LONGEST_SHARE * len(pairs) and lag not in seen:
             seen.add(lag)
-            found = _fit(pairs.poses_a, pairs.poses_b, lag, lag_s, -1.0 if mirrored else 1.0)
+            found = _fit(*_motions(pairs, lag, read_a, read_b), lag, lag_s)
             if found is not None:
                 yield found
 
 
-def fit_like(other: RigidFit, pairs: PosePairs, *, mirrored: bool = False) -> RigidFit | None:
-    """Return the fit of pairs over the lag of another one."""
-    return next(fits(pairs, mirrored=mirrored, seconds=(other.lag_s,)), None)
-
-
-def best_fit(pairs: PosePairs, *, mirrored: bool = False) -> RigidFit | None:
+def best_fit(
+    pairs: PosePairs, read_a: Read = as_read, read_b: Read = as_read,
+    seconds: Sequence[float] = LAGS_S,
+) -> RigidFit | None:
     """Return the first fit of one body, or else the best one; None where there is none."""
     found: list[RigidFit] = []
-    for fit in fits(pairs, mirrored=mirrored):
+    for fit in fits(pairs, read_a, read_b, seconds):
         found.append(fit)
         if fit.one_body and (fit.lag_s <= _SHORT_S or max(
                 growth(found, 'turned_apart'), growth(found, 'way_apart')) <= NOT_BY_NOISE):
             return fit
     # None of these is one body, however long the lag.
-    short = [fit for fit in found if not fit.one_body]
-    return min(short, key=lambda fit: fit.misfit, default=None)
+    return min((fit for fit in found if not fit.one_body),
+               key=lambda fit: fit.misfit, default=None)
+
+
+def turn_share(pairs: PosePairs, lag: int, R_a_b: FloatArray) -> float:
+    """Return by what share of the turns over a lag a (3, 3) rotation misses them."""
+    A, B = _motions(pairs, lag)
+    return _turn_share(se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]), R_a_b)
 
 
 def growth(found: Sequence[RigidFit], name: str) -> float:
@@ -130,12 +147,18 @@ def growth(found: Sequence[RigidFit], name: str) -> float:
     return factor
 
 
-def _fit(
-    poses_a: FloatArray, poses_b: FloatArray, lag: int, lag_s: float, sign: float,
-) -> RigidFit | None:
-    count = len(poses_a) - lag
+def _motions(
+    pairs: PosePairs, lag: int, read_a: Read = as_read, read_b: Read = as_read,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (K, 4, 4) motions of a and b over a lag, as many as suffice."""
+    count = len(pairs) - lag
     i = np.arange(0, count, max(1, -(-count // _MOTIONS)))
-    A, B = (se3.inverse(poses[i]) @ poses[i + lag] for poses in (poses_a, poses_b))
+    A, B = (se3.inverse(read(poses[i])) @ read(poses[i + lag])
+            for read, poses in ((read_a, pairs.poses_a), (read_b, pairs.poses_b)))
+    return A, B
+
+
+def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | None:
     turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
     square = np.maximum(np.sum(turn_a**2, axis=1), np.sum(turn_b**2, axis=1))
     usable = square < _LARGEST_TURN**2
@@ -144,25 +167,24 @@ def _fit(
     A, B, turn_a, turn_b, square = (
         item[usable] for item in (A, B, turn_a, turn_b, square))
     v_a, v_b = A[:, :3, 3], B[:, :3, 3]
+    way = np.sum(v_a**2, axis=1)
     lever = A[:, :3, :3] - np.eye(3)
-    tiny = _ROUNDING**2
-    weight_t = np.full(len(A), 1 / max(float(np.mean(square)), tiny))
-    weight_v = np.full(len(A), 1 / max(float(np.mean(np.sum(v_a**2, axis=1))), tiny))
+    weight_t = np.full(len(A), 1 / max(float(np.mean(square)), _TINY))
+    weight_v = np.full(len(A), 1 / max(float(np.mean(way)), _TINY))
     R, t, scale = np.eye(3), np.zeros(3), 1.0
     for k in range(_ROUNDS):
         if k < _ALONE:
             # Of turns about one axis the rest of the rotation is open; where both went closes it.
-            reached = sign * (v_a + lever @ t)
-            R = se3.nearest_rotation(
-                _correlation(turn_a, turn_b, weight_t) + _correlation(reached, v_b, weight_v))
+            R = se3.nearest_rotation(_correlation(turn_a, turn_b, weight_t)
+                                     + _correlation(v_a + lever @ t, v_b, weight_v))
         # Then all of it together: in turns, a heading and a lever arm settle each other slowly.
         moved, turned = v_b @ R.T, turn_b @ R.T
         J = np.concatenate([scale * se3.skew(moved), lever, -moved[:, :, None]], axis=2)
         off = v_a + lever @ t - scale * moved
         free = slice(3, 7) if k < _ALONE else slice(0, 7)
-        H, g = _normal(J, off, weight_v / max(float(weight_v @ np.sum(v_a**2, axis=1)), tiny))
+        H, g = _normal(J, off, weight_v / max(float(weight_v @ way), _TINY))
         H_t, g_t = _normal(
-            se3.skew(turned), turn_a - turned, weight_t / max(float(weight_t @ square), tiny))
+            se3.skew(turned), turn_a - turned, weight_t / max(float(weight_t @ square), _TINY))
         H[:3, :3] += H_t
         g[:3] += g_t
         step = np.zeros(7)
@@ -170,26 +192,31 @@ def _fit(
         R, t, scale = se3.exp_so3(step[:3]) @ R, t + step[3:6], scale + float(step[6])
         turn_apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
         way_apart = np.sum((v_a + lever @ t - scale * v_b @ R.T)**2, axis=1)
-        weight_t = 1 / (turn_apart + np.median(turn_apart) + tiny)
-        weight_v = 1 / (way_apart + np.median(way_apart) + tiny)
-    way, turn = np.sum(v_a**2, axis=1), 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
-    if sign * scale <= 0:
+        weight_t = 1 / (turn_apart + np.median(turn_apart) + _TINY)
+        weight_v = 1 / (way_apart + np.median(way_apart) + _TINY)
+    if scale <= 0:
         way_apart = way
-    most = turn >= np.quantile(turn, 0.75)
+    turn = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
     longer = way >= np.median(way)
     return RigidFit(
         lag, lag_s, float(np.sqrt(np.median(turn))), float(np.sqrt(np.median(turn_apart))),
-        float(np.sqrt(np.median(turn_apart[most] / (2 * turn[most] + tiny)))),
-        float(np.sqrt(np.median(way_apart))),
-        float(np.sqrt(np.median(way_apart[longer] / (way[longer] + tiny)))), scale)
+        _turn_share(turn_a, turn_b, R), float(np.sqrt(np.median(way_apart))),
+        float(np.sqrt(np.median(way_apart[longer] / (way[longer] + _TINY)))))
+
+
+def _turn_share(turn_a: FloatArray, turn_b: FloatArray, R: FloatArray) -> float:
+    """Return the median, over the quarter of (K, 3) turns that is largest, of what R misses."""
+    turn = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
+    most = turn >= np.quantile(turn, 0.75)
+    apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
+    return float(np.sqrt(np.median(apart[most] / (2 * turn[most] + _TINY))))
 
 
 def _normal(
     J: FloatArray, residual: FloatArray, weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the (n, n) and (n,) normal equations of (K, 3, n) derivatives."""
-    weighted = weights[:, None, None] * J
-    rows = weighted.reshape(-1, J.shape[2])
+    rows = (weights[:, None, None] * J).reshape(-1, J.shape[2])
     return rows.T @ J.reshape(-1, J.shape[2]), rows.T @ residual.ravel()
 
 
@@ -200,5 +227,5 @@ def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArra
     """
     weighted = a * weights[:, None]
     most = np.sqrt(np.sum(weighted * a) * float(weights @ np.sum(b**2, axis=1)))
-    share: FloatArray = weighted.T @ b / max(float(most), _ROUNDING**2)
+    share: FloatArray = weighted.T @ b / max(float(most), _TINY)
     return share
