@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
+from functools import partial
 from importlib import import_module
 import os
 from pathlib import Path
@@ -52,23 +53,19 @@ class CalibrationResult:
     covariance : (6, 6) or None, of translation x, y, z (m) and rotation x, y, z (rad) about the
         fixed axes of a: ``t = t_hat + dt``, ``R = exp(dtheta) R_hat``.
     metrics : mean relative errors e_rt (m) and e_rR (rad) over the motions.
-    poses : pairs of poses that were associated.
-    motions : relative motions that were formed from them.
+    poses, motions : pairs of poses that were associated, and relative motions formed from them.
     inliers : (motions,) bool, the motions that the solver kept, or None where it rejects none.
-    observability : what the motion determined.
-    association : how the poses were paired.
+    observability, association : what the motion determined, and how the poses were paired.
     config : the settings that were used.
     findings : what a person should know of the data and the answer, worst first; their codes
         are those of docs/findings.md.
     scale : metres of a per metre of b, by which b was multiplied.
-    time_offset_s : seconds that were added to the stamps of b.
-    clock_drift : seconds a second by which the clock of b was made to run faster before that.
-    clock_drift_from_ns : stamp of b at which the drift adds nothing: stamps of b became
+    time_offset_s, clock_drift, clock_drift_from_ns : stamps of b became
         ``t + clock_drift (t - clock_drift_from_ns) + time_offset_s``.
     diagnosis : the noise of the two trajectories as plain data, or None where the solver does
         not identify it.
-    reference : of the motions: that of the settings, or what ``auto`` chose.
-    reference_choice : why, or None where the reference was given.
+    reference, reference_choice : of the motions, and why ``auto`` chose it, or None where the
+        reference was given.
     optimality_gap : how much lower the solver's cost could be elsewhere, at most, as a share of
         it; None where the solver gives no certificate.
     start_ns, duration_s : first stamp of the pairs in the clock of a, and their time span; None
@@ -220,6 +217,7 @@ class CalibrationResult:
 
         """
         try:
+            data = {**_OLDER, **data}
             if data['format_version'] not in range(1, FORMAT_VERSION + 1):
                 raise ResultError(
                     f'result has the format {data["format_version"]}, this version reads '
@@ -227,39 +225,19 @@ class CalibrationResult:
                     f'({data.get("package_version")})')
             pose = data['T_a_b']
             rotation = se3.quaternion_to_rotation(_unit(pose['rotation_xyzw']))
-            covariance = data['covariance']
             ranges = data['inlier_motions']
             findings = _findings(data)
             return cls(
-                frame_a=str(data['frame_a']),
-                frame_b=str(data['frame_b']),
                 T_a_b=se3.from_rotation_translation(rotation, _finite(pose['translation'], (3,))),
-                covariance=None if covariance is None else _covariance(covariance),
                 metrics=RelativeErrors(
                     _number(data['e_rt_m']), float(np.deg2rad(_number(data['e_rR_deg'])))),
-                poses=_count(data['poses']),
-                motions=_count(data['motions']),
                 inliers=None if ranges is None else _mask(ranges, _count(data['motions'])),
                 observability=Observability.from_dict(
                     data['observability'],
                     [found for found in findings if found.code.startswith('direction-')]),
-                association=_association(data['association']),
-                config=CalibrationConfig.from_dict(_of_kind(dict, data['config'])),
                 findings=findings,
-                scale=_number(data['scale']),
-                time_offset_s=_number(data['time_offset_s']),
-                # Saved before clocks were known to drift, a result has none.
-                clock_drift=_number(data.get('clock_drift', 0.0)),
-                clock_drift_from_ns=int(data.get('clock_drift_from_ns', 0)),
-                diagnosis=_optional(dict, data['diagnosis']),
-                reference=str(data['reference']),
-                reference_choice=_optional(str, data['reference_choice']),
-                optimality_gap=(None if data['optimality_gap'] is None
-                                else _number(data['optimality_gap'])),
-                start_ns=_optional(int, data.get('start_ns')),
-                duration_s=_optional(float, data.get('duration_s')),
-                recording=_optional(str, data.get('recording')),
                 version=str(data['package_version']),
+                **{name: read(data[name]) for name, read in _READ.items()},
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             if isinstance(error, CalibrationError):
@@ -307,10 +285,6 @@ def _of_kind(kind: type[_T], value: Any) -> _T:
         found = f'found {value!r}, needed a value of type {kind.__name__}'
         raise ValueError(found)  # noqa: TRY004
     return value
-
-
-def _optional(kind: type[_T], value: Any) -> _T | None:
-    return None if value is None else _of_kind(kind, value)
 
 
 def _number(value: Any) -> float:
@@ -389,3 +363,24 @@ def _mask(ranges: str, length: int) -> NDArray[np.bool_]:
             raise ValueError(f'inlier_motions has {part!r}, needed ranges within 0-{length - 1}')
         mask[start:end + 1] = True
     return mask
+
+
+def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda value: None if value is None else read(value)
+
+
+# The keys of a file that are fields by themselves.
+_READ: dict[str, Callable[[Any], Any]] = {
+    'frame_a': str, 'frame_b': str, 'covariance': _or_none(_covariance), 'poses': _count,
+    'motions': _count, 'association': _association,
+    'config': lambda value: CalibrationConfig.from_dict(_of_kind(dict, value)),
+    'scale': _number, 'time_offset_s': _number, 'clock_drift': _number,
+    'clock_drift_from_ns': int, 'diagnosis': _or_none(partial(_of_kind, dict)),
+    'reference': str, 'reference_choice': _or_none(partial(_of_kind, str)),
+    'optimality_gap': _or_none(_number), 'start_ns': _or_none(partial(_of_kind, int)),
+    'duration_s': _or_none(_number), 'recording': _or_none(partial(_of_kind, str)),
+}
+
+# Keys that older files lack; before clocks were known to drift, a result had none.
+_OLDER = {'clock_drift': 0.0, 'clock_drift_from_ns': 0, 'start_ns': None, 'duration_s': None,
+          'recording': None}

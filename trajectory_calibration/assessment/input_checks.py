@@ -235,10 +235,10 @@ def _other_readings(
             return best_fit(pairs, read_a, read_b, (found.lag_s,))
         if as_read not in (read_a, read_b):
             return best_fit(pairs, read_a, read_b)
-        changed = (replace(trajectory, poses=read(trajectory.poses))
-                   for trajectory, read in ((a, read_a), (b, read_b)))
+        read = [replace(trajectory, poses=how(trajectory.poses))
+                for trajectory, how in ((a, read_a), (b, read_b))]
         with suppress(AssociationError):
-            return best_fit(match(*changed, config)[1])
+            return best_fit(match(read[0], read[1], config)[1])
         return None
 
     def of_one(what: str, option: str, read: Read) -> list[tuple[RigidFit, str, str]]:
