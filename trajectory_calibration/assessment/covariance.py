@@ -20,15 +20,11 @@ expected loss).
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import (
-    split_equations,
-    split_pairs,
-    thinned_to,
-)
+from trajectory_calibration.assessment.excitation import split_equations, split_pairs, thinned_to
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs, select_motions
@@ -60,7 +56,7 @@ class Uncertainty:
     """
 
     covariance: FloatArray
-    unobserved: FloatArray = field(default_factory=lambda: np.zeros((0, 6)))
+    unobserved: FloatArray
     findings: tuple[Finding, ...] = ()
 
 
@@ -102,30 +98,16 @@ def estimate_uncertainty(
     config: CalibrationConfig | None = None,
     known: MostLikely | None = None,
 ) -> Uncertainty:
-    """Return the uncertainty of a solution.
+    """Return the uncertainty of a solution that was found from motions.
 
-    Parameters
-    ----------
-    solution : Solution
-        With a covariance of its own, or the equations that it solved.
-    motions : MotionPairs
-        From which it was found.
-    config : CalibrationConfig, optional
-        Settings of the solver that identifies the noise.
-    known : MostLikely, optional
-        What that solver says, where it was asked before.
-
-    Raises
-    ------
-    SolverError
-        The solution has neither a covariance nor equations.
-
+    ``config`` holds the settings of the solver that identifies the noise, ``known`` what that
+    says, where it was asked before. Raises SolverError for a solution with neither a covariance
+    nor equations.
     """
     if solution.covariance is not None:
         # A solver that takes the motion for what it is trusts the noise in it as well.
         open_ = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
-        return Uncertainty(
-            _bounded(solution.covariance + open_.T @ open_), unobserved=open_)
+        return Uncertainty(_bounded(solution.covariance, open_), open_)
     if solution.linearise is None:
         raise SolverError('the solver gave neither a covariance nor the equations it solved')
     config = config or CalibrationConfig()
@@ -137,11 +119,10 @@ def estimate_uncertainty(
     open_ = excited.unobserved
     if known is None:
         covariance = _from_residuals(solution.T_a_b, motions, solution.linearise, excited.basis)
-        return Uncertainty(_bounded(covariance + open_.T @ open_), open_)
+        return Uncertainty(_bounded(covariance, open_), open_)
     step = np.clip(se3.step_between(known.T_a_b, solution.T_a_b), -UNKNOWN, UNKNOWN)
-    return Uncertainty(
-        _bounded(known.covariance + np.outer(step, step) + open_.T @ open_), open_,
-        _uncorrected(known, config.solver))
+    return Uncertainty(_bounded(known.covariance + np.outer(step, step), open_), open_,
+                       _uncorrected(known, config.solver))
 
 
 def _uncorrected(known: MostLikely, solver: str) -> tuple[Finding, ...]:
@@ -175,12 +156,14 @@ def _from_residuals(
     return 0.5 * (covariance + covariance.T)
 
 
-def _bounded(covariance: FloatArray) -> FloatArray:
-    """Return a (6, 6) covariance with no negative variance, and none beyond the unknown.
+def _bounded(covariance: FloatArray, open_: FloatArray) -> FloatArray:
+    """Return a (6, 6) covariance with (K, 6) open directions, bounded by the unknown.
 
-    Rounding may leave the former; the latter adds up from all that call a direction open.
+    Rounding may leave a negative variance; one beyond the unknown adds up from all that call a
+    direction open.
     """
     unit = np.outer(UNKNOWN, UNKNOWN)
-    variances, axes = np.linalg.eigh(0.5 * (covariance + covariance.T) / unit)
+    total = covariance + open_.T @ open_
+    variances, axes = np.linalg.eigh(0.5 * (total + total.T) / unit)
     bounded: FloatArray = (axes * np.clip(variances, 0.0, 1.0)) @ axes.T * unit
     return 0.5 * (bounded + bounded.T)

@@ -13,7 +13,6 @@ W. A. Fuller, "Measurement Error Models", 1987, section 1.4 (a second measuremen
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,10 +28,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.solution import Equations, Linearise, UNKNOWN
-
-# Motions that are linearised at once.
-CHUNK = 2048
+from trajectory_calibration.solvers.solution import Linearise, UNKNOWN
 
 # Blocks of correlated motions: this many lags of the reference, at most a fifth of the data.
 _BLOCK_LAGS = 3
@@ -80,12 +76,7 @@ def block_length(motions: MotionPairs) -> int:
     return max(1, min(max(lags, round(2 * count**(1 / 3))), int(_BLOCK_SHARE * count)))
 
 
-def split(
-    shared: FloatArray,
-    own: FloatArray,
-    instruments: Iterator[tuple[FloatArray, FloatArray]],
-    block: int,
-) -> Excited:
+def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -> Excited:
     """Split the directions by their excitation.
 
     In the basis that makes what each sensor saw the identity, what both saw has eigenvalues
@@ -93,12 +84,10 @@ def split(
 
     Parameters
     ----------
-    shared : (6, 6)
-        Sum of what a saw times what b saw.
-    own : (6, 6)
-        Sum of what each saw times itself, the mean of both.
-    instruments : of pairs of (m, 6, 6)
-        What a saw and what b saw, in parts; read only where a direction is suspect.
+    shared, own : (6, 6)
+        Sums of what a saw times what b saw, and of what each saw times itself, the mean of both.
+    apart : (M, 6, 6)
+        What a saw minus what b saw.
     block : int
         As ``block_length``.
 
@@ -114,7 +103,7 @@ def split(
     excited = share > _SUSPECT_SHARE
     suspects = np.flatnonzero(~excited)
     if len(suspects):
-        noise = _excitation_by_noise(basis[:, suspects], instruments, block)
+        noise = _excitation_by_noise(apart @ basis[:, suspects], block)
         excited[suspects] = share[suspects] > _SIGNIFICANT * noise
     directions = np.concatenate([basis[:, ~excited], unseen], axis=1).T
     return Excited(basis[:, excited], scaled_to_unknown(directions))
@@ -160,16 +149,13 @@ def split_equations(
     if inliers is not None:
         motions = motions.picked(inliers)
     motions = thinned_to(motions, _MOTIONS)
-    poses_c = T_a_b @ motions.pairs.poses_b @ se3.inverse(T_a_b)
-    shared, own, cross = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((6, 6))
-    for of_a, of_b in _both(T_a_b, motions, poses_c, linearise):
-        Z_a, Z_b = of_a.instrument, of_b.instrument
-        shared += linear.gram(Z_a, Z_b)
-        own += 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
-        cross += 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
-    excited = split(
-        0.5 * (shared + shared.T), own, _instruments(T_a_b, motions, poses_c, linearise),
-        block_length(motions))
+    A, C = motions.A, T_a_b @ motions.B @ se3.inverse(T_a_b)
+    of_a, of_b = linearise(T_a_b, A, A), linearise(T_a_b, C, C)
+    Z_a, Z_b = of_a.instrument, of_b.instrument
+    shared = linear.gram(Z_a, Z_b)
+    own = 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
+    cross = 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
+    excited = _split(0.5 * (shared + shared.T), own, Z_a - Z_b, block_length(motions))
     # What is found after a direction that is open goes wrong with it.
     basis, open_ = excited.basis, excited.unobserved
     inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
@@ -181,35 +167,14 @@ def thinned_to(motions: MotionPairs, count: int) -> MotionPairs:
     return motions.picked(slice(None, None, max(1, -(-len(motions) // count))))
 
 
-def _both(
-    T_a_b: FloatArray, motions: MotionPairs, poses_c: FloatArray, linearise: Linearise,
-) -> Iterator[tuple[Equations, Equations]]:
-    """Yield the equations at motions that both sensors report as a does, and as b does."""
-    for start in range(0, len(motions), CHUNK):
-        part = slice(start, start + CHUNK)
-        A = motions.A[part]
-        C = se3.inverse(poses_c[motions.i[part]]) @ poses_c[motions.j[part]]
-        yield linearise(T_a_b, A, A), linearise(T_a_b, C, C)
-
-
-def _instruments(
-    T_a_b: FloatArray, motions: MotionPairs, poses_c: FloatArray, linearise: Linearise,
-) -> Iterator[tuple[FloatArray, FloatArray]]:
-    for of_a, of_b in _both(T_a_b, motions, poses_c, linearise):
-        yield of_a.instrument, of_b.instrument
-
-
-def _excitation_by_noise(
-    directions: FloatArray, instruments: Iterator[tuple[FloatArray, FloatArray]], block: int,
-) -> FloatArray:
+def _excitation_by_noise(rows: FloatArray, block: int) -> FloatArray:
     """Return (K,) standard deviations of the shared excitation if both saw only noise.
 
-    The difference of what a and b saw along (6, K) directions holds the noise of both; half of
-    its autocovariance is taken for either.
+    The difference of what a and b saw, (M, 6, K), holds the noise of both; half of its
+    autocovariance is taken for either.
     """
-    rows = np.concatenate([(of_a - of_b) @ directions for of_a, of_b in instruments])
     count = len(rows)
-    variance = np.zeros(directions.shape[1])
+    variance = np.zeros(rows.shape[2])
     for lag in range(block + 1):
         for k in range(len(variance)):
             covariance = rows[lag:, :, k].T @ rows[:count - lag, :, k] / 2

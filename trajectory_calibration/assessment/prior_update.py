@@ -58,7 +58,9 @@ def apply_prior(
     step = np.zeros(6)
     for _ in range(_MAX_UPDATES):
         deviation = prior.deviation(se3.moved(T_a_b, step))
-        observe = _observation(deviation, step)[known]
+        observe = np.eye(6)
+        observe[3:, 3:] = _observation(deviation[3:], step[3:])
+        observe = observe[known]
         # In units of what is unknown, the prior before the motion: a component that is fixed
         # beside a direction that is open has 1e13 times its weight.
         Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
@@ -129,14 +131,12 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
     weight = 1.0 / np.maximum(prior.rotation_std[known], FIXED)
     weight = weight / weight.max()
 
-    def residual(angles: FloatArray) -> FloatArray:
+    def deviation(angles: FloatArray) -> FloatArray:
         R = se3.exp_so3(angles @ axes.T) @ R_a_b
-        deviation = se3.log_so3(prior.rotation @ np.swapaxes(R, -1, -2))
-        weighted: FloatArray = weight * deviation[..., known]
-        return weighted
+        return se3.log_so3(prior.rotation @ np.swapaxes(R, -1, -2))
 
     def cost(angles: FloatArray) -> FloatArray:
-        squares: FloatArray = np.sum(residual(angles)**2, axis=-1)
+        squares: FloatArray = np.sum((weight * deviation(angles)[..., known])**2, axis=-1)
         return squares
 
     # About one axis the cost may have several minima; about more, the whole way is a start.
@@ -144,12 +144,10 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
               else (se3.log_so3(prior.rotation @ R_a_b.T) @ axes)[None])
     angles: FloatArray = starts[int(np.argmin(cost(starts)))]
     for _ in range(_MAX_REFINEMENTS):
-        turn = axes @ angles
-        deviation = prior.deviation(se3.moved(
-            se3.from_rotation_translation(R_a_b, np.zeros(3)), np.r_[np.zeros(3), turn]))
-        slope = _observation(deviation, np.r_[np.zeros(3), turn])[3:, 3:][known] @ axes
+        off = deviation(angles)
+        slope = (_observation(off, axes @ angles) @ axes)[known]
         # Without a slope, nothing that is known beforehand depends on the turn.
-        step = np.linalg.lstsq(weight[:, None] * slope, residual(angles), rcond=1e-9)[0]
+        step = np.linalg.lstsq(weight[:, None] * slope, weight * off[known], rcond=1e-9)[0]
         if cost(angles + step) >= cost(angles):
             break
         angles = angles + step
@@ -180,10 +178,7 @@ def contradictions(
     return tuple(found)
 
 
-def _observation(deviation: FloatArray, step: FloatArray) -> FloatArray:
-    """Return (6, 6): how the deviation from the prior shrinks with a further step."""
-    result = np.eye(6)
-    # exp(d) = R_prior R^T exp(-step); the right Jacobian is the left one transposed.
-    result[3:, 3:] = (se3.left_jacobian_so3_inverse(deviation[3:]).T
-                      @ se3.left_jacobian_so3(step[3:]))
-    return result
+def _observation(deviation: FloatArray, turn: FloatArray) -> FloatArray:
+    """Return (3, 3): how a rotation's deviation from the prior shrinks with a further turn."""
+    # exp(d) = R_prior R^T exp(-turn); the right Jacobian is the left one transposed.
+    return se3.left_jacobian_so3_inverse(deviation).T @ se3.left_jacobian_so3(turn)

@@ -10,13 +10,11 @@ one metre away. The smallest wins.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from trajectory_calibration.assessment.covariance import most_likely, MostLikely
-from trajectory_calibration.assessment.excitation import thinned_to
 from trajectory_calibration.assessment.input_checks import require_fit
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import (
@@ -76,10 +74,13 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     usual = f'B{max(1, min(lag, (len(pairs) - 1) // 2))}'
     needed = solver_info(config.solver).needs_reference
     if config.reference != AUTOMATIC:
-        if not needed and not _fits(config.reference, len(pairs)):
-            return ReferenceChoice(usual, (
-                f'{usual} for the fit residual: {config.reference} is too long for {len(pairs)} '
-                'poses'))
+        try:
+            reference_indices(config.reference, len(pairs))
+        except MotionError:
+            if not needed:
+                return ReferenceChoice(usual, (
+                    f'{usual} for the fit residual: {config.reference} is too long for '
+                    f'{len(pairs)} poses'))
         return ReferenceChoice(config.reference)
     if not needed:
         return ReferenceChoice(usual)
@@ -94,7 +95,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     directions, variance = _shown(known, config)
     expected: dict[str, float] = {}
     for reference in _candidates(pairs):
-        motions = thinned_to(select_motions(pairs, reference), _ENOUGH)
+        motions = select_motions(pairs, reference, _ENOUGH)
         try:
             found = load_solver(config.solver)(motions, config).T_a_b
         except (MotionError, SolverError):
@@ -110,17 +111,9 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
 
 def _candidates(pairs: PosePairs) -> list[str]:
     """Return 'A', 'B1', ..., 'C5', ..."""
-    lags = {letter: lag_grid(pairs.stamps_ns, seconds, _LARGEST_SHARE)
-            for letter, seconds in (('B', _CANDIDATES_B), ('C', _CANDIDATES_C))}
-    return ['A', *(f'B{lag}' for lag in lags['B']), *(f'C{lag}' for lag in lags['C'] if lag > 1)]
-
-
-def _fits(reference: str, poses: int) -> bool:
-    """Tell whether so many poses make motions with a reference."""
-    with suppress(MotionError):
-        reference_indices(reference, poses)
-        return True
-    return False
+    lags_b, lags_c = (lag_grid(pairs.stamps_ns, seconds, _LARGEST_SHARE)
+                      for seconds in (_CANDIDATES_B, _CANDIDATES_C))
+    return ['A', *(f'B{lag}' for lag in lags_b), *(f'C{lag}' for lag in lags_c if lag > 1)]
 
 
 def _shown(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:

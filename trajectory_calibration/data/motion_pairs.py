@@ -85,11 +85,7 @@ def parse_reference(reference: str) -> tuple[str, int]:
 def normal_reference(reference: str) -> str:
     """Return the one way of writing a reference: 'B7' of ' b7', 'auto' of 'AUTO'.
 
-    Raises
-    ------
-    ConfigError
-        As ``parse_reference``, but for 'auto'.
-
+    Raises as ``parse_reference``, but for 'auto'.
     """
     if reference.strip().lower() == AUTOMATIC:
         return AUTOMATIC
@@ -137,21 +133,11 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
 def lag_grid(
     stamps_ns: NDArray[np.int64], seconds: Sequence[float], largest_share: float = 0.5,
 ) -> tuple[int, ...]:
-    """Return the lags, in poses, that span the given times; ascending and distinct.
+    """Return the lags, in poses, that span the given times; ascending and distinct, at least one.
 
     Times, not numbers of poses, so that recordings of one drive at 10 and 200 Hz are judged alike.
     A recording slower than 10 Hz stretches the times by as much, so that it has as many lags.
-    None is longer than a share of the recording; there is always at least one.
-
-    Parameters
-    ----------
-    stamps_ns : (N,)
-        Ascending.
-    seconds : sequence of float
-        Times, ascending.
-    largest_share : float
-        Of the N poses.
-
+    ``stamps_ns`` are (N,), ascending; no lag is longer than a share of the N poses.
     """
     step = float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else _USUAL_STEP
     lags = {max(1, round(time / min(max(step, 1e-9), _USUAL_STEP))) for time in seconds}
@@ -162,23 +148,11 @@ def lag_grid(
 def select_motions(pairs: PosePairs, reference: str, at_most: int | None = None) -> MotionPairs:
     """Form the relative motions of both sensors for a reference selection.
 
-    Every n-th of them, ``at_most`` so many, where that is given.
-
-    Raises
-    ------
-    ConfigError, MotionError
-        As ``reference_indices``.
-
+    Every n-th of them, ``at_most`` so many, where that is given; raises as ``reference_indices``.
     """
     i, j = reference_indices(reference, len(pairs))
     if at_most is not None:
         every = max(1, -(-len(i) // at_most))
         i, j = i[::every], j[::every]
-    return MotionPairs(
-        reference=normal_reference(reference),
-        i=i,
-        j=j,
-        A=se3.inverse(pairs.poses_a[i]) @ pairs.poses_a[j],
-        B=se3.inverse(pairs.poses_b[i]) @ pairs.poses_b[j],
-        pairs=pairs,
-    )
+    A, B = (se3.inverse(poses[i]) @ poses[j] for poses in (pairs.poses_a, pairs.poses_b))
+    return MotionPairs(normal_reference(reference), i, j, A, B, pairs)

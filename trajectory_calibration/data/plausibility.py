@@ -43,12 +43,11 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
         return ()
     unit, divisor = next(
         (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
-    question = Finding(
+    return (Finding(
         'time-unit',
         f'{trajectory.sensor_frame}: the median step between its poses is {step:.6g} s: are its '
         f'times in {unit}? Then divide them by {divisor}; --time-unit reads them',
-        {'median_step_s': step})
-    return (question,)
+        {'median_step_s': step}),)
 
 
 def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
@@ -60,11 +59,10 @@ def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     speed = float(np.median(way / time_s))
     if speed <= _FASTEST:
         return ()
-    question = Finding(
+    return (Finding(
         'length-unit',
         f'{trajectory.sensor_frame}: its median speed is {speed:.3g} m/s: are its positions in '
-        'metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed})
-    return (question,)
+        'metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed}),)
 
 
 def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
@@ -82,13 +80,12 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
     factor = long_.usual_step_ns / short.usual_step_ns
     for unit, divisor in _UNITS:
         if 1 / _RATES < factor / float(divisor) < _RATES:
-            question = Finding(
+            return (Finding(
                 'time-unit',
                 f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
                 f'and {long_.usual_step_ns * 1e-9:.3g} s in {long_.sensor_frame}: are the times '
                 f'of {long_.sensor_frame} in {unit}? Then divide them by {divisor}; --time-unit '
-                'reads them', {'factor': factor})
-            return (question,)
+                'reads them', {'factor': factor}),)
     return ()
 
 
@@ -98,21 +95,18 @@ def lost_as_identity(poses: FloatArray) -> NDArray[np.bool_]:
     A SLAM that lost its track often writes the identity. A trajectory that begins there, or
     really begins anew there, goes on from there; these have neighbours that are far.
     """
+    lost = np.zeros(len(poses), dtype=bool)
     if not len(poses):
-        return np.zeros(0, dtype=bool)
-    flat = poses.reshape(len(poses), -1)
+        return lost
     identity = np.array([0, 0, 0, 0, 0, 0, 1.0]) if poses.ndim == 2 else np.eye(4).ravel()
-    found = (flat == identity).all(axis=1)
+    found = (poses.reshape(len(poses), -1) == identity).all(axis=1)
     # Those at the beginning are the origin of the trajectory.
     found[:np.argmin(found)] = False
-    if not found.any() or found.all():
-        return np.zeros(len(poses), dtype=bool)
     place = poses[:, :3] if poses.ndim == 2 else poses[:, :3, 3]
-    others = np.flatnonzero(~found)
-    steps = np.linalg.norm(np.diff(place[others], axis=0), axis=1)
-    far = np.linalg.norm(place, axis=1) > _FAR_STEPS * float(np.median(steps)) if len(
-        steps) else np.zeros(len(poses), dtype=bool)
-    lost = np.zeros(len(poses), dtype=bool)
+    steps = np.linalg.norm(np.diff(place[~found], axis=0), axis=1)
+    if not (found.any() and len(steps)):
+        return lost
+    far = np.linalg.norm(place, axis=1) > _FAR_STEPS * float(np.median(steps))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
     for first, end in edges.reshape(-1, 2).tolist():
         lost[first:end] = far[first - 1] and (end == len(poses) or far[end])

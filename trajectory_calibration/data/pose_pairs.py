@@ -81,7 +81,7 @@ class PosePairs:
 
     def thinned(self, every: int) -> PosePairs:
         """Return every ``every``-th pair, from the first."""
-        return self if every == 1 else self.picked(slice(None, None, every))
+        return self.picked(slice(None, None, every))
 
     def picked(self, part: slice | NDArray[np.bool_]) -> PosePairs:
         """Return some of the pairs."""

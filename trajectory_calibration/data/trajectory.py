@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -56,34 +55,30 @@ class Trajectory:
     poses: FloatArray
     world_frame: str = 'map'
     sensor_frame: str = 'sensor'
-    findings: tuple[Finding, ...] = field(default=())
+    findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
-        stamps_ns, stamp_order, notes = _checked_stamps(self.stamps_ns)
+        stamps_ns, order, notes = _checked_stamps(self.stamps_ns)
         poses = _real_numbers(self.poses, 'poses', 'one (4, 4) matrix per stamp')
         if poses.shape != (len(stamps_ns), 4, 4):
             raise TrajectoryError(
                 f'poses have the shape {poses.shape}, needed ({len(stamps_ns)}, 4, 4) to match '
                 f'{len(stamps_ns)} stamps; pass one homogeneous matrix per stamp')
         notes += _repair_rotations(poses)
-        self._settle(stamps_ns, poses, stamp_order, notes)
+        self._settle(stamps_ns[order], poses[order], notes)
 
     def _settle(
-        self, stamps_ns: NDArray[np.int64], poses: FloatArray,
-        stamp_order: NDArray[np.intp] | None, notes: list[str],
+        self, stamps_ns: NDArray[np.int64], poses: FloatArray, notes: list[str],
     ) -> None:
-        """Keep stamps and poses that have been checked, in the order of time."""
-        if stamp_order is not None:
-            stamps_ns, poses = stamps_ns[stamp_order], poses[stamp_order]
+        """Keep stamps and poses that have been checked and are in the order of time."""
         if len(stamps_ns) < 2:
             raise TrajectoryError(
                 f'{self.sensor_frame}: {len(stamps_ns)} pose with a stamp of its own, needed at '
                 'least 2; record while the sensor moves')
         stamps_ns.setflags(write=False)
         poses.setflags(write=False)
-        object.__setattr__(self, 'stamps_ns', stamps_ns)
-        object.__setattr__(self, 'poses', poses)
-        object.__setattr__(self, 'findings', (*self.findings, *(
+        # Not by assignment: the class is frozen.
+        self.__dict__.update(stamps_ns=stamps_ns, poses=poses, findings=(*self.findings, *(
             Finding('input-repaired', f'{self.sensor_frame}: {note}') for note in notes)))
 
     @classmethod
@@ -113,21 +108,18 @@ class Trajectory:
         _require_finite(np.concatenate([p, q], axis=1))
         with np.errstate(over='ignore'):
             norm = np.linalg.norm(q, axis=1)
-        note = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
-        if note:
-            findings = (*findings, Finding('input-repaired', f'{sensor_frame}: {note}'))
+        repaired = _judge_deviation(np.abs(norm - 1), 'the norm of the quaternion', norm)
         _require_near(p)
-        stamps, stamp_order, notes = _checked_stamps(stamps_ns)
+        stamps, order, notes = _checked_stamps(stamps_ns)
         if len(stamps) != len(p):
             raise TrajectoryError(f'{len(stamps)} stamps and {len(p)} positions; needed one stamp '
                                   'per position')
         # Unit quaternions give rotations: nothing is left to check or to repair.
-        R = se3.quaternion_to_rotation(q / norm[:, None])
+        poses = se3.from_rotation_translation(se3.quaternion_to_rotation(q / norm[:, None]), p)
         result = object.__new__(cls)
-        for name, value in (('world_frame', world_frame), ('sensor_frame', sensor_frame),
-                            ('findings', findings)):
-            object.__setattr__(result, name, value)
-        result._settle(stamps, se3.from_rotation_translation(R, p), stamp_order, notes)
+        result.__dict__.update(
+            world_frame=world_frame, sensor_frame=sensor_frame, findings=findings)
+        result._settle(stamps[order], poses[order], repaired + notes)
         return result
 
     @classmethod
@@ -181,8 +173,7 @@ class Trajectory:
             return self
         poses = self.poses.copy()
         poses[:, :3, 3] *= scale
-        return Trajectory(self.stamps_ns, poses, self.world_frame, self.sensor_frame,
-                          self.findings)
+        return replace(self, poses=poses)
 
     def retimed(self, drift: float, from_ns: int) -> Trajectory:
         """Return the trajectory as a clock that runs faster by ``drift`` (s/s) would have it.
@@ -192,9 +183,7 @@ class Trajectory:
         if drift == 0.0:
             return self
         apart = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
-        stamps_ns = self.stamps_ns + apart
-        return Trajectory(
-            stamps_ns, self.poses, self.world_frame, self.sensor_frame, self.findings)
+        return replace(self, stamps_ns=self.stamps_ns + apart)
 
     @cached_property
     def usual_step_ns(self) -> float:
@@ -260,20 +249,15 @@ def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
             f'{what} are no array of numbers ({error}), needed {needed}') from error
 
 
-def _stamp_array(stamps: ArrayLike) -> NDArray[Any]:
-    """Return what was given as an array; raise TrajectoryError for rows of unequal length."""
+def _checked_stamps(
+    stamps: ArrayLike,
+) -> tuple[NDArray[np.int64], NDArray[np.intp] | slice, list[str]]:
+    """Return the stamps, what sorts them and drops duplicates, and notes of that."""
     try:
-        return np.asarray(stamps)
+        array = np.asarray(stamps)
     except ValueError as error:
         raise TrajectoryError(
             f'stamps are no array of numbers ({error}), needed one integer per pose') from error
-
-
-def _checked_stamps(
-    stamps: ArrayLike,
-) -> tuple[NDArray[np.int64], NDArray[np.intp] | None, list[str]]:
-    """Return the stamps, the order that sorts them and drops duplicates (or None), and notes."""
-    array = _stamp_array(stamps)
     if array.ndim != 1 or not np.issubdtype(array.dtype, np.integer):
         raise TrajectoryError(
             f'stamps are {array.dtype} of shape {array.shape}, needed one-dimensional integer '
@@ -291,7 +275,7 @@ def _checked_stamps(
                 '292; remove the strays, or is the unit nanoseconds?')
     later, earlier = stamps_ns[1:], stamps_ns[:-1]
     if np.all(later > earlier):
-        return stamps_ns, None, []
+        return stamps_ns, slice(None), []
     notes = []
     backwards = int(np.count_nonzero(later < earlier))
     if backwards:
@@ -307,7 +291,7 @@ def _checked_stamps(
 
 
 def _repair_rotations(poses: FloatArray) -> list[str]:
-    """Make the rotations of (N, 4, 4) poses orthonormal in place, or raise."""
+    """Make the rotations of (N, 4, 4) poses orthonormal in place, with a note, or raise."""
     _require_finite(poses.reshape(len(poses), 16))
     _require_near(poses[:, :3, 3])
     if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
@@ -316,12 +300,13 @@ def _repair_rotations(poses: FloatArray) -> list[str]:
     # Squares of numbers that are far from a rotation's overflow; the judge refuses what they give.
     with np.errstate(over='ignore', invalid='ignore'):
         deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        deviation = np.where(se3.determinant(R) > 0, deviation, np.inf)
-    note = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
+        right_handed = np.sum(np.cross(R[:, 0], R[:, 1]) * R[:, 2], axis=1) > 0
+        deviation = np.where(right_handed, deviation, np.inf)
+    notes = _judge_deviation(deviation, 'the deviation from a rotation', deviation)
     if deviation.max(initial=0.0) > 1e-14:
         poses[:, :3, :3] = se3.nearest_rotation(R)
     poses[:, 3] = [0, 0, 0, 1]
-    return [note] if note else []
+    return notes
 
 
 def _require_near(positions: FloatArray) -> None:
@@ -342,18 +327,14 @@ def _require_finite(rows: FloatArray) -> None:
             'SLAM wrote while it was lost')
 
 
-def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> str | None:
-    """Return a warning if the worst deviation deserves one; raise beyond the tolerance."""
-    if not len(deviation):
-        return None
-    k = int(np.argmax(deviation))
-    worst = float(deviation[k])
+def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> list[str]:
+    """Return a note if the worst deviation deserves one; raise beyond the tolerance."""
     # Written so that NaN fails.
-    if not worst <= ROTATION_TOLERANCE:
+    if not (deviation <= ROTATION_TOLERANCE).all():
+        k = int(np.argmax(deviation))
         raise TrajectoryError(
             f'pose {k}: {what} is {shown[k]:.6g}, off by more than {ROTATION_TOLERANCE}; is the '
             'order x, y, z, w (not w first), and are the columns the right ones?')
-    if worst <= ROUNDING_TOLERANCE:
-        return None
-    count = int(np.count_nonzero(deviation > ROUNDING_TOLERANCE))
-    return f'normalised {counted(count, "rotation")} (off by up to {worst:.2g})'
+    off = deviation[deviation > ROUNDING_TOLERANCE]
+    return [f'normalised {counted(len(off), "rotation")} (off by up to {off.max():.2g})'
+            ] if len(off) else []

@@ -156,15 +156,6 @@ def rotation_angle(rotations: ArrayLike) -> FloatArray:
     return np.linalg.norm(log_so3(rotations), axis=-1)
 
 
-def determinant(matrices: FloatArray) -> FloatArray:
-    """Return the (...) determinants of (..., 3, 3) matrices, several times faster than LU."""
-    a, b, c = (matrices[..., k, :] for k in range(3))
-    result: FloatArray = (a[..., 0] * (b[..., 1] * c[..., 2] - b[..., 2] * c[..., 1])
-                          + a[..., 1] * (b[..., 2] * c[..., 0] - b[..., 0] * c[..., 2])
-                          + a[..., 2] * (b[..., 0] * c[..., 1] - b[..., 1] * c[..., 0]))
-    return result
-
-
 def nearest_rotation(matrices: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations closest to (..., 3, 3) matrices in the Frobenius norm.
 
