@@ -158,7 +158,7 @@ def test_noise_is_identified():
         other.append(other[-1] @ step)
     other = np.array(other) @ se3.exp_se3(
         rng.normal(size=(3000, 6)) * np.repeat([0.01, 0.002], 3))
-    found = identify_noise(stamps(len(body)), body, other)
+    found = identify_noise(stamps(len(body)), body, other, np.ones(len(body) - 1, dtype=bool))
     assert found.white_translation == pytest.approx(0.01, rel=0.1)
     assert found.white_rotation == pytest.approx(0.002, rel=0.1)
     assert found.walk_translation == pytest.approx(0.02, rel=0.3)

@@ -131,13 +131,16 @@ class Observability:
         """Rebuild from ``to_dict`` and the findings, which a result holds with the others."""
         return cls(
             {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
-            tuple(WeakAxis(str(item['kind']), tuple(map(float, item['axis'])),
-                           float(item['std']), str(item['status']))
-                  for item in data['weak_axes']),
-            tuple(map(float, data['excitation_deg'])),
-            tuple(map(float, data['translation_gain'])),
-            tuple(tuple(map(float, axis)) for axis in data['translation_axes']),
+            tuple(WeakAxis(str(item['kind']), _floats(item['axis']), float(item['std']),
+                           str(item['status'])) for item in data['weak_axes']),
+            _floats(data['excitation_deg']),
+            _floats(data['translation_gain']),
+            tuple(map(_floats, data['translation_axes'])),
             tuple(findings))
+
+
+def _floats(values: Iterable[Any]) -> tuple[float, ...]:
+    return tuple(map(float, values))
 
 
 def observe(
@@ -149,19 +152,8 @@ def observe(
 ) -> Observability:
     """Say what the motion and the priors determined.
 
-    Parameters
-    ----------
-    motions : MotionPairs
-        Relative motions, for the excitation.
-    by_motion : (6, 6)
-        Covariance of the extrinsic from the motion alone.
-    covariance : (6, 6)
-        Covariance with the priors; the same where there are none.
-    config : CalibrationConfig
-        What counts as weak and as unobserved.
-    frame : str
-        Name of sensor a, for the words.
-
+    ``by_motion`` and ``covariance`` are the (6, 6) covariances of the extrinsic from the motion
+    alone and with the priors; ``frame`` names sensor a in the words.
     """
     R = motions.A[:, :3, :3]
     excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
@@ -180,11 +172,10 @@ def observe(
 def require_motion_beyond_noise(
     observability: Observability, T_a_b: FloatArray, pairs: PosePairs,
 ) -> None:
-    """Raise MotionError where the trajectories hold no motion, as of a vehicle at rest.
+    """Raise MotionError where the pairs hold no motion, as of a vehicle at rest.
 
     One direction that is known is an answer, of which the rest is flagged. Where a solver knows
-    none, whatever the limits of the user, the motion itself tells whether there was any:
-    ``pairs`` at the answer ``T_a_b``.
+    none, whatever the limits of the user, the motion itself tells whether there was any.
     """
     # Not by axis of the sensor: one blind direction across all of them would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
@@ -223,10 +214,8 @@ def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool
 
     Where both sensors saw the other turns, it is not the motion that lacks them.
     """
-    if gain[0] >= _SINGLE * gain[1]:
-        return False
-    if gain[0] < _HARDLY_OTHERS * gain[1]:
-        return True
+    if not _HARDLY_OTHERS * gain[1] <= gain[0] < _SINGLE * gain[1]:
+        return bool(gain[0] < _HARDLY_OTHERS * gain[1])
     turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
     turn_b = turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T
     other_a, other_b = (turn - np.outer(turn @ axis, axis) for turn in (turn_a, turn_b))
@@ -236,8 +225,9 @@ def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool
 
 def _judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
     """Return the status of a standard deviation, metres or degrees."""
-    weak = config.weak_rotation if rotation else config.weak_translation
-    unobserved = config.unobserved_rotation if rotation else config.unobserved_translation
+    weak, unobserved = (
+        (config.weak_rotation, config.unobserved_rotation) if rotation else
+        (config.weak_translation, config.unobserved_translation))
     # Written so that NaN is not observed.
     if not std <= unobserved:
         return UNOBSERVED
@@ -277,13 +267,14 @@ def _status(
 def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakAxis, ...]:
     found = []
     for kind, block in (('translation', covariance[:3, :3]), ('rotation', covariance[3:, 3:])):
+        rotation = kind == 'rotation'
         variances, axes = np.linalg.eigh(block)
-        std = np.sqrt(np.maximum(variances, 0.0))
-        std = np.rad2deg(std) if kind == 'rotation' else std
-        for value, axis in zip(std[::-1], _pointed(axes.T)[::-1], strict=True):
-            status = _judge(config, value, rotation=kind == 'rotation')
+        for variance, axis in zip(variances[::-1], _pointed(axes.T)[::-1], strict=True):
+            std = float(np.sqrt(max(variance, 0.0)))
+            std = float(np.rad2deg(std)) if rotation else std
+            status = _judge(config, std, rotation=rotation)
             if status != OBSERVED:
-                found.append(WeakAxis(kind, tuple(axis.tolist()), float(value), status))
+                found.append(WeakAxis(kind, tuple(axis.tolist()), std, status))
     return tuple(found)
 
 
@@ -296,32 +287,29 @@ def _describe(
     """
     causes: dict[tuple[str, str], list[WeakAxis]] = {}
     for item in items:
-        cause = (item.status, _MORE[item.kind] if item.status == WEAK
-                 else _why_open(np.array(item.axis), single, turned))
-        causes.setdefault(cause, []).append(item)
-    return tuple(_finding(status, why, found, frame)
-                 for (status, why), found in causes.items())
-
-
-def _why_open(axis: FloatArray, single: FloatArray | None, turned: float) -> str:
-    if turned < _HARDLY:
-        return 'hardly turned. Drive curves, and a ramp or a bank'
-    if single is not None and abs(single @ axis) > _NEAR_AXIS:
-        return f'turned about {axis_name(single)} only. Drive a ramp or a bank'
-    return 'noise too large for the motion. Turn more'
-
-
-def _finding(status: str, why: str, items: Sequence[WeakAxis], frame: str) -> Finding:
-    where = f'{" and ".join(_named(items))} of {frame}'
-    values = {'directions': [
-        {'kind': item.kind, 'axis': list(item.axis), f'std_{_UNITS[item.kind]}': item.std}
-        for item in items]}
-    if status == WEAK:
-        std = ', '.join(f'{item.std:.2g}' for item in items)
-        return Finding('direction-weak', f'{where} weak: standard deviation {std} '
-                       f'{_UNITS[items[0].kind]}. {why}', values)
-    return Finding('direction-unobserved', f'{where} unobservable: {why}, or add '
-                   f'{_priors(items)}, or set allow_unobserved (node)', values)
+        if item.status == WEAK:
+            why = _MORE[item.kind]
+        elif turned < _HARDLY:
+            why = 'hardly turned. Drive curves, and a ramp or a bank'
+        elif single is not None and abs(single @ item.axis) > _NEAR_AXIS:
+            why = f'turned about {axis_name(single)} only. Drive a ramp or a bank'
+        else:
+            why = 'noise too large for the motion. Turn more'
+        causes.setdefault((item.status, why), []).append(item)
+    found = []
+    for (status, why), group in causes.items():
+        where = f'{" and ".join(_named(group))} of {frame}'
+        values = {'directions': [
+            {'kind': item.kind, 'axis': list(item.axis), f'std_{_UNITS[item.kind]}': item.std}
+            for item in group]}
+        if status == WEAK:
+            std = ', '.join(f'{item.std:.2g}' for item in group)
+            found.append(Finding('direction-weak', f'{where} weak: standard deviation {std} '
+                                 f'{_UNITS[group[0].kind]}. {why}', values))
+        else:
+            found.append(Finding('direction-unobserved', f'{where} unobservable: {why}, or add '
+                                 f'{_priors(group)}, or set allow_unobserved (node)', values))
+    return tuple(found)
 
 
 def _named(items: Sequence[WeakAxis]) -> Iterator[str]:

@@ -8,7 +8,7 @@ the distance between them changes, and the offset with it, by far more than cloc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ _ROUNDS = 3
 _LEAST_CELL_NS = 5_000_000
 
 
-@dataclass(frozen=True)
-class Steadiness:
+class Steadiness(NamedTuple):
     """How an offset varies along a drive.
 
     Attributes
@@ -64,13 +63,12 @@ def offset_steadiness(a: Trajectory, b: Trajectory, clock: Clock) -> Steadiness 
     good = np.isfinite(middle) & (stds > 0)
     if good.sum() < _PARTS // 2:
         return None
-    weights = 1 / stds[good]**2
-    columns = np.column_stack([np.ones(good.sum()), middle[good] / np.abs(middle[good]).max()])
+    weights, middle, shifts = 1 / stds[good]**2, middle[good], shifts[good]
+    columns = np.column_stack([np.ones(len(middle)), middle / np.abs(middle).max()])
     H = columns.T @ (weights[:, None] * columns)
-    left = shifts[good] - columns @ (np.linalg.pinv(H) @ (columns.T @ (weights * shifts[good])))
-    return Steadiness(
-        float(np.sqrt(np.sum(weights * left**2) / np.sum(weights))),
-        float(np.sum(weights * left**2) / (good.sum() - 2)))
+    left = shifts - columns @ (np.linalg.pinv(H) @ (columns.T @ (weights * shifts)))
+    squares = float(np.sum(weights * left**2))
+    return Steadiness(np.sqrt(squares / float(np.sum(weights))), squares / (len(middle) - 2))
 
 
 def _shifts(

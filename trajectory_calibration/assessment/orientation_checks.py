@@ -29,8 +29,8 @@ _COPIED = 0.02
 # A yaw that is the course has no lever arm (metres) in curves, but for this much and so many
 # standard deviations.
 _NO_LEVER, _SIGMA = 0.05, 3.0
-# Half the steps between the positions of which the course is taken then.
-_HALF_SPAN = 2
+# Steps to the positions before and after of which the course is taken then.
+_SPAN = (2, 2)
 
 # Seconds over which a body is followed, motions, rounds of reweighting.
 _FOLLOWED_S = 0.2
@@ -70,8 +70,7 @@ def _is_course(trajectory: Trajectory) -> bool:
 
     It turns about one axis only, to the last digit. What computed it from the positions follows
     every error of them. What took it from velocities shows no roll and pitch where the height
-    changes and no lever arm in curves, as a measured yaw
-    would.
+    changes and no lever arm in curves, as a measured yaw would.
     """
     count = min(len(trajectory), _COURSE_POSES)
     turns = trajectory.turns[:count - 1]
@@ -86,15 +85,17 @@ def _is_course(trajectory: Trajectory) -> bool:
     position = moved @ np.stack([across, np.cross(axis, across)]).T
     height_varies = float(np.std(np.diff(moved @ axis))) > _DIGITS
     return any(
-        _follows(position, sign * yaw, before, after, height_varies=height_varies)
-        for before, after in ((0, 1), (1, 0), (1, 1), (_HALF_SPAN, _HALF_SPAN))
-        for sign in (1.0, -1.0))
+        _follows(position, sign * yaw, *steps, no_lever=height_varies and steps == _SPAN)
+        for steps in ((0, 1), (1, 0), (1, 1), _SPAN) for sign in (1.0, -1.0))
 
 
 def _follows(
-    position: FloatArray, yaw: FloatArray, before: int, after: int, *, height_varies: bool,
+    position: FloatArray, yaw: FloatArray, before: int, after: int, *, no_lever: bool,
 ) -> bool:
-    """Tell whether (N,) yaw is the course of (N, 2) positions over so many steps."""
+    """Tell whether (N,) yaw is the course of (N, 2) positions over so many steps.
+
+    By the errors of the positions in it, or else, where asked for, by a lever arm of zero.
+    """
     k = np.arange(before, len(position) - after)
     step = position[k + after] - position[k - before]
     length = np.linalg.norm(step, axis=1)
@@ -114,7 +115,7 @@ def _follows(
     to_and_fro = float(bend[:-1] @ bend[1:]) < 0
     if to_and_fro and rough > _DIGITS and np.median(np.abs(apart[long_])) < _COPIED * rough:
         return True
-    if not height_varies or before != _HALF_SPAN:
+    if not no_lever:
         return False
     # Radians a metre; the course of a lever arm l ahead is off by l times that.
     curvature = (yaw[k + after] - yaw[k - before])[long_] / length[long_]
@@ -175,13 +176,10 @@ def least_steps(trajectory: Trajectory) -> tuple[float, float]:
     i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // _MOTIONS))
     if len(i) < 10:
         return 0.0, 0.0
+    poses = trajectory.poses[np.stack([i, i + every])]
     # Far from the origin the inverses are large numbers, and their differences lose digits.
-    here, there = trajectory.poses[i], trajectory.poses[i + every]
-    middle = here[:, :3, 3].mean(axis=0)
-    here[:, :3, 3] -= middle
-    there[:, :3, 3] -= middle
-    return (_least_step(here, there),
-            _least_step(se3.inverse(here), se3.inverse(there)))
+    poses[..., :3, 3] -= poses[0, :, :3, 3].mean(axis=0)
+    return _least_step(*poses), _least_step(*se3.inverse(poses))
 
 
 def _least_step(here: FloatArray, there: FloatArray) -> float:

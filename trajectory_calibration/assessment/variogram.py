@@ -70,7 +70,7 @@ class PairNoise:
 
 def _shared(translation: float, rotation: float, T_a_b: FloatArray) -> FloatArray:
     """Give half to each sensor in its own axes; the half of b reaches a through the lever arm."""
-    own = np.diag([translation**2] * 3 + [rotation**2] * 3)
+    own = np.diag(np.repeat([translation, rotation], 3)**2)
     Ad = se3.adjoint(T_a_b)
     covariance: FloatArray = 0.5 * (own + Ad @ own @ Ad.T)
     return covariance
@@ -84,48 +84,24 @@ def step_lengths(poses: FloatArray) -> FloatArray:
 
 
 def identify_noise(
-    stamps_ns: NDArray[np.int64],
-    poses_a: FloatArray,
-    poses_c: FloatArray,
-    usable: NDArray[np.bool_] | None = None,
-    trusted: NDArray[np.bool_] | None = None,
+    stamps_ns: NDArray[np.int64], poses_a: FloatArray, poses_c: FloatArray,
+    usable: NDArray[np.bool_],
 ) -> PairNoise:
     """Fit white noise and walk to the disagreement of two trajectories.
 
-    Parameters
-    ----------
-    stamps_ns : (N,)
-        Of the poses.
-    poses_a : (N, 4, 4)
-        Of sensor a.
-    poses_c : (N, 4, 4)
-        Of sensor a as b reports them: ``T_a_b B_k T_a_b^-1``, in any world.
-    usable : (N - 1,) bool, optional
-        Steps that count; motions across any other are left out.
-    trusted : (N,) bool, optional
-        Poses that count; motions from or to any other are left out.
-
-    Returns
-    -------
-    PairNoise
-        Of both together; never exactly zero, because files and floats are rounded.
-
+    ``stamps_ns`` (N,) are of the poses of sensor a, (N, 4, 4), and of those that b reports of a,
+    ``T_a_b B_k T_a_b^-1``, in any world. Motions across steps that are not ``usable``, (N - 1,),
+    are left out. No deviation of white noise is zero, because files and floats are rounded.
     """
     along = np.concatenate([[0.0], np.cumsum(step_lengths(poses_a))])
-    bad = np.zeros(len(poses_a), dtype=np.intp)
-    if usable is not None:
-        bad[1:] = np.cumsum(~usable)
+    bad = np.concatenate([[0], np.cumsum(~usable)])
     rows = []
     for lag in lag_grid(stamps_ns, _LAGS, _LARGEST_LAG):
-        i = np.arange(len(poses_a) - lag)
-        i = i[bad[i + lag] == bad[i]]
-        if trusted is not None:
-            i = i[trusted[i] & trusted[i + lag]]
+        i = np.flatnonzero(bad[lag:] == bad[:-lag])
         i = i[::-(-len(i) // _MOTIONS_OF_A_LAG) or 1]
         if len(i) < 2:
             continue
-        A = se3.inverse(poses_a[i]) @ poses_a[i + lag]
-        C = se3.inverse(poses_c[i]) @ poses_c[i + lag]
+        A, C = (se3.inverse(poses[i]) @ poses[i + lag] for poses in (poses_a, poses_c))
         error = se3.log_se3(se3.inverse(A) @ C)
         rows.append((lag, float(np.mean(along[i + lag] - along[i])),
                      float(np.mean(error[:, :3]**2)), float(np.mean(error[:, 3:]**2)),
@@ -146,29 +122,22 @@ def identify_noise(
 def _fit(
     poses: int, lag: FloatArray, distance: FloatArray, variogram: FloatArray,
 ) -> tuple[float, float]:
-    """Return variances >= 0 of ``variogram = 2 white + distance walk``, both for one axis."""
+    """Return variances >= 0 of ``variogram = 2 white + distance walk``, both for one axis.
+
+    One of them is zero if it may: where it lowers the sum of squares by less than chance does.
+    """
     columns = np.column_stack([np.full(len(lag), 2.0), distance])
     expected = np.maximum(variogram, _LEAST**2)
-    found = np.zeros(2)
+    found: FloatArray = np.zeros(2)
     for _ in range(_REWEIGHTINGS):
         # Motions of n poses overlap n-fold: so many of their 3 x poses squares are independent.
         root = np.sqrt(1.5 * poses / lag) / expected
-        found = _nonnegative(columns * root[:, None], variogram * root)
-        expected = np.maximum(columns @ found, _LEAST**2)
-    return float(found[0]), float(found[1])
-
-
-def _nonnegative(X: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the solution of ``X s = y`` with both elements of s >= 0, one of them zero if it may.
-
-    The rows have unit variance: an element that lowers the sum of squares by less than chance
-    does is left out.
-    """
-    alone = np.maximum(X.T @ y / np.sum(X**2, axis=0), 0.0)
-    cost = np.sum((X * alone - y[:, None])**2, axis=0)
-    best: FloatArray = np.where(np.arange(2) == np.argmin(cost), alone, 0.0)
-    if len(y) > 1:
+        X, y = columns * root[:, None], variogram * root
+        alone = np.maximum(X.T @ y / np.sum(X**2, axis=0), 0.0)
+        cost = np.sum((X * alone - y[:, None])**2, axis=0)
+        found = np.where(np.arange(2) == np.argmin(cost), alone, 0.0)
         both = np.linalg.lstsq(X, y, rcond=None)[0]
         if (both >= 0).all() and np.sum((X @ both - y)**2) < cost.min() - _CHANCE:
-            return np.asarray(both, dtype=np.float64)
-    return best
+            found = np.asarray(both, dtype=np.float64)
+        expected = np.maximum(columns @ found, _LEAST**2)
+    return float(found[0]), float(found[1])
