@@ -80,14 +80,13 @@ def leave_out_half_turns(
     kept: NDArray[np.bool_] = angle < _HALF_TURN
     if kept.all():
         return motions, None, ()
-    count, limit = int(np.count_nonzero(~kept)), f'{np.rad2deg(_HALF_TURN):.0f} degrees'
+    count = int(np.count_nonzero(~kept))
+    found = (f'{count} of {counted(len(motions), "motion")} turn by more than '
+             f'{np.rad2deg(_HALF_TURN):.0f} degrees, where noise flips the axis')
     if len(motions) - count < 2:
         raise MotionError(
-            f'{count} of {counted(len(motions), "motion")} turn by more than {limit}, where noise '
-            'flips the axis that this solver compares; needed 2 that turn less: use another '
-            'reference, as auto, or solver dnl')
-    found = (f'{count} of {counted(len(motions), "motion")} turn by more than {limit}, where '
-             'noise flips the axis')
+            f'{found} that this solver compares; needed 2 that turn less: use another reference, '
+            'as auto, or solver dnl')
     if motions.reference == 'A':
         return motions, None, (Finding(
             'half-turns', f'{found}; they are kept, as published: use a reference B<n>, or solver '

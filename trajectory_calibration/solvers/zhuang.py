@@ -69,18 +69,16 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     angle = float(se3.rotation_angle(R_start))
     turned = angle > _NEAR_HALF_TURN
     R_turn = R_start if turned else np.eye(3)
-    S = _gram(motions, R_turn)
-    found = _minimise(S, _to_z(R_start @ R_turn.T), config.prior.translation, len(motions))
-    T_a_b = se3.from_rotation_translation(_from_z(found.z) @ R_turn, found.t)
+    start = np.concatenate([_to_z(R_start @ R_turn.T), config.prior.translation])
+    found = _minimise(_gram(motions, R_turn), start, len(motions))
+    T_a_b = se3.from_rotation_translation(_from_z(found.x[:3]) @ R_turn, found.x[3:])
     if angle > _LARGE_ROTATION:
-        findings = (
-            *findings,
-            Finding(
-                'zhuang-large-rotation',
-                f'zhuang: the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
-                'other, where its parameter grows and magnifies noise' + (
-                    ' without bound; solved in rotated coordinates' if turned else '')
-                + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
+        findings = (*findings, Finding(
+            'zhuang-large-rotation',
+            f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each '
+            'other, where its parameter grows and magnifies noise' + (
+                ' without bound; solved in turned coordinates' if turned else '')
+            + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
     if not found.settled:
         findings = (*findings, Finding(
             'not-converged', f'zhuang stopped after {found.iterations} iterations before it '
@@ -96,21 +94,18 @@ def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArra
     f of the axes, g of the translation.
     """
     equations = linear.translation_only(T_a_b, A, C)
-    rotation, translation = linear.ROTATION, linear.TRANSLATION
     (k_a, turns_a), (k_c, turns_c) = (_axes(moved) for moved in (A, C))
     turns = (turns_a & turns_c)[:, None]
-    equations.residual[:, rotation] = turns * (k_a - k_c)
-    equations.jacobian[:, rotation, 3:] = se3.skew(turns * k_c)
+    equations.residual[:, linear.ROTATION] = turns * (k_a - k_c)
+    equations.jacobian[:, linear.ROTATION, 3:] = se3.skew(turns * k_c)
     z = _to_z(T_a_b[:3, :3] @ R_turn.T)
     W = np.eye(3) - se3.skew(z)
-    by_theta = 0.5 * (W + np.outer(z, z))
-    jacobian, residual = np.empty_like(equations.jacobian), np.empty_like(equations.residual)
-    for part in (rotation, translation):
-        plain = equations.residual[:, part]
-        residual[:, part] = plain @ W.T
-        jacobian[:, part] = W @ equations.jacobian[:, part]
-        jacobian[:, part, 3:] += se3.skew(plain) @ by_theta
-    return Equations(residual, jacobian, jacobian)
+    # Rotation and translation, both (3,), alike.
+    plain = equations.residual.reshape(-1, 2, 3)
+    jacobian = W @ equations.jacobian.reshape(-1, 2, 3, 6)
+    jacobian[..., 3:] += 0.5 * se3.skew(plain) @ (W + np.outer(z, z))
+    jacobian = jacobian.reshape(-1, 6, 6)
+    return Equations((plain @ W.T).reshape(-1, 6), jacobian, jacobian)
 
 
 def _axes(motions: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -144,55 +139,51 @@ def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Minimum:
-    z: FloatArray
-    t: FloatArray
+    x: FloatArray
     cost: float
     iterations: int
     settled: bool
 
 
-def _minimise(S: FloatArray, z: FloatArray, t: FloatArray, motions: int) -> _Minimum:
-    """Minimise from a start, and once more with an implausible translation held there."""
-    found = _gauss_newton(S, z, t, np.zeros((3, 3)), motions)
-    _, _, H = _equations(S, found.z, found.t)
-    hold = quadratic.hold_implausible(H[3:, 3:], found.cost / (6 * motions))
-    return _gauss_newton(S, z, t, hold, motions) if hold.any() else found
+def _minimise(S: FloatArray, start: FloatArray, motions: int) -> _Minimum:
+    """Minimise over (z, t), and once more with an implausible translation held at the start."""
+    hold = np.zeros((6, 6))
+    found = _gauss_newton(S, start, hold, motions)
+    _, _, H = _equations(S, found.x)
+    hold[3:, 3:] = quadratic.hold_implausible(H[3:, 3:], found.cost / (6 * motions))
+    return _gauss_newton(S, start, hold, motions) if hold.any() else found
 
 
-def _gauss_newton(
-    S: FloatArray, z: FloatArray, t: FloatArray, hold: FloatArray, motions: int,
-) -> _Minimum:
-    """Minimise with ``(t - t_start)^T hold (t - t_start)`` added to the cost."""
-    t_start, iteration, rounding = t, 0, _ROUNDING * float(S[15, 15])
-    plain, gradient, H = _equations(S, z, t)
+def _gauss_newton(S: FloatArray, start: FloatArray, hold: FloatArray, motions: int) -> _Minimum:
+    """Minimise with ``(x - start)^T hold (x - start)`` added to the cost."""
+    x, iteration, rounding = start, 0, _ROUNDING * float(S[15, 15])
+    plain, gradient, H = _equations(S, x)
     # A direction that the motion leaves open stays where it is, whatever rounding makes of it.
     Q = quadratic.determined_directions(H, motions)
     for iteration in range(1, _MAX_ITERATIONS + 1):
-        H[3:, 3:] += hold
-        gradient[3:] += hold @ (t - t_start)
-        cost = plain + float((t - t_start) @ hold @ (t - t_start))
-        step = -Q @ np.linalg.solve(Q.T @ H @ Q, Q.T @ gradient)
-        length = np.linalg.norm(step) / (1 + np.linalg.norm(z) + np.linalg.norm(t))
+        off = x - start
+        cost = plain + off @ hold @ off
+        step = -Q @ np.linalg.solve(Q.T @ (H + hold) @ Q, Q.T @ (gradient + hold @ off))
+        length = np.linalg.norm(step) / (1 + np.linalg.norm(x[:3]) + np.linalg.norm(x[3:]))
         for _ in range(_HALVINGS):
-            plain, gradient, H = _equations(S, z + step[:3], t + step[3:])
-            off = t + step[3:] - t_start
+            plain, gradient, H = _equations(S, x + step)
+            off = x + step - start
             if plain + off @ hold @ off <= cost + rounding:
                 break
             step = 0.5 * step
         else:
             # No step goes down: the rest is rounding.
-            return _Minimum(z, t, max(cost, 0.0), iteration, settled=True)
-        z, t = z + step[:3], t + step[3:]
+            return _Minimum(x, max(float(cost), 0.0), iteration, settled=True)
+        x = x + step
         if length <= _STEP_TOLERANCE:
-            return _Minimum(z, t, max(plain, 0.0), iteration, settled=True)
-    return _Minimum(z, t, max(plain, 0.0), iteration, settled=False)
+            return _Minimum(x, max(plain, 0.0), iteration, settled=True)
+    return _Minimum(x, max(plain, 0.0), iteration, settled=False)
 
 
-def _equations(
-    S: FloatArray, z: FloatArray, t: FloatArray,
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the cost, half its gradient in (z, t), and its Gauss-Newton matrix."""
-    m = np.concatenate([np.outer(z, t).ravel(), z, t, [1.0]])
+def _equations(S: FloatArray, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return the cost, half its gradient in x = (z, t), and its Gauss-Newton matrix."""
+    z, t = x[:3], x[3:]
+    m = np.concatenate([np.outer(z, t).ravel(), x, [1.0]])
     J = np.zeros((16, 6))
     J[:9, :3] = np.kron(np.eye(3), t[:, None])
     J[:9, 3:] = np.kron(z[:, None], np.eye(3))
