@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import (
@@ -47,10 +48,8 @@ def calibrate(
 
     Parameters
     ----------
-    trajectory_a : Trajectory
-        Of the parent sensor a.
-    trajectory_b : Trajectory
-        Of the child sensor b.
+    trajectory_a, trajectory_b : Trajectory
+        Of the parent sensor a and of the child sensor b.
     config : CalibrationConfig, optional
         Settings; the defaults where omitted.
 
@@ -122,7 +121,7 @@ def calibrate(
         start_ns=int(pairs.stamps_ns[0]),
         duration_s=float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9,
         recording=recording,
-        diagnosis=None if solution.diagnosis is None else solution.diagnosis.to_dict(),
+        diagnosis=None if solution.diagnosis is None else asdict(solution.diagnosis),
         findings=worst_first(in_total(
             clock.offset_s - config.time_offset, solution.time_offset_s, (
                 *trajectory_a.findings,

@@ -4,8 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,3 @@ class Diagnosis:
     latency_s: float
     latency_deviation_s: float
     saturation: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON or YAML."""
-        return asdict(self)

@@ -97,10 +97,10 @@ def _minimise(cost: TrimmedCost, method: str) -> tuple[Candidates, int]:
         return _minimise_with_ipopt(cost)
     if method == 'auto' and motions <= _IPOPT_MOTIONS:
         joint, steps = _minimise_with_ipopt(cost)
-        T_a_b = joint.T_a_b[0]
+        start = joint.T_a_b
     else:
-        T_a_b, steps = cost.follow_central_path(cost.minimum(np.ones((1, motions)))[0])
-    best, more = cost.alternate(T_a_b[None])
+        start, steps = cost.follow_central_path(cost.minimum(np.ones((1, motions))))
+    best, more = cost.alternate(start)
     if method == 'auto':
         few = cost.thinned(_ENOUGH)
         best = _clearly_lower(best, cost, few.alternate(_starts(few), _ROUGHLY)[0])

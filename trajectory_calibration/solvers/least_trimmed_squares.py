@@ -112,12 +112,11 @@ class TrimmedCost:
     def alternate(
         self, starts: FloatArray, tolerance: float = 1e-12,
     ) -> tuple[Candidates, int]:
-        """Take turns between weights and extrinsic from (S, 4, 4) starts; keep the lowest.
+        """Take turns between weights and extrinsic from (S, 4, 4) starts; return lowest and steps.
 
         The concentration steps, and the many short and few long starts, of P. J. Rousseeuw, K. Van
         Driessen, "Computing LTS Regression for Large Data Sets", Data Mining and Knowledge
-        Discovery 12, 2006, doi:10.1007/s10618-005-0024-4. No step raises the cost. Returns the
-        candidate of lowest cost and the steps that were taken.
+        Discovery 12, 2006, doi:10.1007/s10618-005-0024-4. No step raises the cost.
         """
         found = self.weigh(starts)
         for step in range(1, _MAX_STEPS + 1):
@@ -138,10 +137,10 @@ class TrimmedCost:
         The path that an interior-point method follows, with the weights eliminated: for a barrier
         mu they solve ``|M|^2 - c - lambda = mu / alpha - mu / (1 - alpha)``, and lambda is zero or
         what makes the sum of the weights d M. Every motion has its say at first and the decision
-        hardens slowly, which passes by the many small minima of the trimmed cost. Returns a (4, 4)
-        extrinsic and the steps that were taken.
+        hardens slowly, which passes by the many small minima of the trimmed cost. Returns one
+        extrinsic, (1, 4, 4), and the steps that were taken.
         """
-        T_a_b, squares = start, self.squares(start[None])[0]
+        T_a_b, squares = start[0], self.squares(start)[0]
         mu = max(float(squares.mean()), self.c)
         steps, multiplier = 0, 0.0
         while mu > _BARRIER_END * self.c and steps < _MAX_STEPS:
@@ -150,7 +149,7 @@ class TrimmedCost:
             squares = self.squares(T_a_b[None])[0]
             mu *= _BARRIER_FACTOR
             steps += 1
-        return T_a_b, steps
+        return T_a_b[None], steps
 
     def _barrier_weights(
         self, squares: FloatArray, mu: float, multiplier: float,

@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """What solvers there are, what each needs and what it estimates.
 
-Nothing else in the package knows a solver by its name: the pipeline, the settings and the choice
-of a reference read these rows. Another package adds rows through the entry point group
-``trajectory_calibration.solvers``; ``docs/add_a_solver.md`` has an example.
+The pipeline, the settings and the choice of a reference read these rows and know no names. Another
+package adds rows through the entry point group ``trajectory_calibration.solvers``;
+``docs/add_a_solver.md`` has an example.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import Any, TYPE_CHECKING
+from pkgutil import resolve_name
+from typing import Any, cast, TYPE_CHECKING
 
 from trajectory_calibration.errors import ConfigError
 
@@ -54,9 +54,7 @@ class SolverInfo:
         """Return the function; its module, and CasADi where it needs it, load now."""
         if not isinstance(self.function, str):
             return self.function
-        module, _, name = self.function.partition(':')
-        function: Callable[..., Any] = getattr(import_module(module), name)
-        return function
+        return cast('Callable[..., Any]', resolve_name(self.function))
 
 
 _HERE = __name__.rpartition('.')[0]
@@ -81,22 +79,15 @@ SOLVER_NAMES = tuple(row.name for row in _ROWS)
 
 
 def solver_info(name: str) -> SolverInfo:
-    """Return the row of a solver, of this package or of another.
-
-    Raises
-    ------
-    ConfigError
-        An unknown name; the message lists the valid ones.
-
-    """
+    """Return the row of a solver; raise ConfigError, which lists all, for an unknown name."""
     for row in _ROWS:
         if row.name == name:
             return row
     others = _of_other_packages()
-    if name in others:
-        return _row(others[name])
-    raise ConfigError(
-        f'solver {name!r} is unknown; needed one of {", ".join((*SOLVER_NAMES, *others))}')
+    if name not in others:
+        raise ConfigError(
+            f'solver {name!r} is unknown; needed one of {", ".join((*SOLVER_NAMES, *others))}')
+    return _row(others[name])
 
 
 def solvers() -> tuple[SolverInfo, ...]:
