@@ -4,8 +4,8 @@
 
 A solver finds the best extrinsic for any two trajectories: also for those of two vehicles, for
 poses that were inverted, for quaternions in another order; and its residuals then pass for noise.
-What is looked at here needs no solver, and is judged by how much the two turned and moved, and by
-what independent errors leave between them, never by fixed angles.
+What is looked at here is judged by how much the two turned and moved, and by what independent
+errors leave between them, never by fixed angles.
 """
 
 from __future__ import annotations
@@ -61,8 +61,6 @@ _ROUNDING = 1e-6
 
 # How much farther things move as read than inverted, in the mean of both and in each.
 _INVERTED, _INVERTED_EACH = 1.15, 1.1
-# Steps that tell it are so many times what the two disagree by.
-_OF_NOISE = 1.0
 
 # Seconds of clock offset that are asked about where the offset is not steady along the drive: by
 # so many seconds, and so many times (squared) its errors; the larger ones are no clock's.
@@ -159,12 +157,11 @@ def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
         return ()
     k = int(found[apart[found].argmax()])
     since_s = (pairs.stamps_ns[k] - pairs.stamps_ns[0]) * 1e-9
-    warning = Finding(
+    return (Finding(
         'orientation-jumps', f'{counted(len(found), "orientation jump")} (largest '
         f'{rounded(np.rad2deg(apart[k]))} deg at {since_s:.1f} s): SLAM restart or loop closure? '
         'Use drift_aware, which excludes them, or calibrate the parts separately',
-        {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))})
-    return (warning,)
+        {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))}),)
 
 
 def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
@@ -173,13 +170,13 @@ def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
     The equations are as true of those, and the answer is then the pose of one world in another.
     """
     steps = [least_steps(trajectory) for trajectory in (a, b)]
-    if not all(as_read > _INVERTED_EACH * inverted for as_read, inverted in steps):
+    if not all(step > _INVERTED_EACH * inverted for step, inverted in steps):
         return False
     fit = best_fit(pairs, se3.inverse, se3.inverse)
-    as_read, inverted = np.prod(steps, axis=0)
+    both_as_read, both_inverted = np.prod(steps, axis=0)
     # Errors of the poses are no motion.
-    return bool(as_read > _INVERTED**2 * inverted and fit is not None
-                and min(min(item) for item in steps) > _OF_NOISE * fit.way_apart)
+    return bool(both_as_read > _INVERTED**2 * both_inverted and fit is not None
+                and np.min(steps) > fit.way_apart)
 
 
 def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
@@ -263,8 +260,8 @@ def _other_readings(
 
 
 def _moves_less_inverted(trajectory: Trajectory) -> bool:
-    as_read, inverted = least_steps(trajectory)
-    return as_read > _INVERTED * inverted
+    step, inverted = least_steps(trajectory)
+    return step > _INVERTED * inverted
 
 
 def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
@@ -273,11 +270,10 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
     advice = ('Are they of one vehicle at the same time? check the topics or files, and the '
               'clocks (max_time_offset is how far apart they may be)')
-    turned = max(found, key=lambda item: item.turned_apart)
-    factor = growth(found, 'turned_apart')
-    together = factor <= NOT_BY_NOISE and any(
-        item.turn_share < _NO_TURN_SHARED or item.way_share < _NO_WAY_SHARED for item in found)
-    if not together:
+    if growth(found, 'turned_apart') > NOT_BY_NOISE or all(
+            item.turn_share >= _NO_TURN_SHARED and item.way_share >= _NO_WAY_SHARED
+            for item in found):
+        turned = max(found, key=lambda item: item.turned_apart)
         raise MotionError(
             f'{frames} did not turn together: over {counted(turned.lag, "pose")} they turn by '
             f'{rounded(np.rad2deg(turned.turned))} deg and apart by '

@@ -46,11 +46,9 @@ def interpolate(
     the fourth power of the step where the motion is smooth (that of the geodesic: with the
     second), and it is the same path in whichever frames the sensor and its world are, for the
     tangents of ``G T X`` are those of ``T`` times a matrix. Without a neighbour on one side (an
-    end, a gap longer than ``max_gap_ns``, a leap of the twist), the quadratic through three
-    poses; with none, the geodesic.
-
-    The geodesic also remains where stamps are so uneven that the squared weights add up to more
-    than 1: no guess is noisier than a pose is.
+    end, a gap, a leap of the twist), the quadratic through three poses; with none, or where the
+    stamps are so uneven that the squared weights add up to more than 1, the geodesic: no guess
+    is noisier than a pose is.
 
     Parameters
     ----------
@@ -127,12 +125,8 @@ def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]
 
 def _lagrange(nodes: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
     """Return (K, M) weights of the known of (K, M) nodes for the polynomial's value at zero."""
-    weights = known.astype(np.float64)
-    count = nodes.shape[1]
-    for k in range(count):
-        for other in range(count):
-            if other != k:
-                weights[:, k] *= np.divide(
-                    nodes[:, other], nodes[:, other] - nodes[:, k], out=np.ones(len(nodes)),
-                    where=known[:, other] & known[:, k])
+    apart = nodes[:, None, :] - nodes[:, :, None]
+    both = known[:, None, :] & known[:, :, None] & ~np.eye(nodes.shape[1], dtype=bool)
+    factors = np.divide(nodes[:, None, :], apart, out=np.ones_like(apart), where=both)
+    weights: FloatArray = known * factors.prod(axis=2)
     return weights

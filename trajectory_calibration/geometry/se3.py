@@ -256,8 +256,7 @@ def inverse_step(pose: ArrayLike) -> FloatArray:
 def interpolate(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
     """Return the (..., 4, 4) poses at ``fraction`` (...) of the geodesic from start to end.
 
-    The constant-twist path ``T_0 exp(s log(T_0^-1 T_1))``; a fraction outside [0, 1] continues
-    it, which is what the caller asked for and nothing else in the package does by default.
+    The constant-twist path ``T_0 exp(s log(T_0^-1 T_1))``; a fraction outside [0, 1] continues it.
     """
     T_0 = np.asarray(start, dtype=np.float64)
     s = np.asarray(fraction, dtype=np.float64)
