@@ -121,7 +121,7 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     scale = ('give it (scale)' if solver == 'drift_aware' else
              'give it (scale), or use solver drift_aware, which finds it')
     raise MotionError(
-        f'the rotation that {solver} found does not fit: half of the turns differ by '
+        f'the rotation that {solver} found does not fit: half of the rotations differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
 
@@ -184,9 +184,9 @@ def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
     fit = best_fit(pairs, read_b=mirrored, seconds=(found.lag_s,))
     if fit is not None and fit.one_body and fit.misfit < _MUCH_LESS * found.misfit:
         raise MotionError(
-            f'one of {frames} is in a left-handed frame: mirrored, it misses '
-            f'{fit.turn_share:.1%} of the turns and {fit.way_share:.1%} of the way, as '
-            f'it is {found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
+            f'one of {frames} is in a left-handed frame: mirrored, {fit.turn_share:.1%} of '
+            f'the rotations and {fit.way_share:.1%} of the translations differ, as read '
+            f'{found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
 
 
 def _reordered(shift: int) -> Read:
@@ -215,8 +215,8 @@ def _refuse_other_reading(
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
         f'{a.sensor_frame} and {b.sensor_frame} do not fit as read: {what}? Then '
-        f'{best.way_share:.1%} of the way and {best.turn_share:.1%} of the turns differ, instead '
-        f'of {found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
+        f'{best.way_share:.1%} of the translations and {best.turn_share:.1%} of the rotations '
+        f'differ, instead of {found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
 
 
 def _other_readings(
@@ -268,7 +268,7 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     """Raise MotionError where independent errors do not explain what the two do apart."""
     found = list(fits(pairs))
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    advice = ('Are they of one vehicle at the same time? check the topics or files, and the '
+    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
               'clocks (max_time_offset is how far apart they may be)')
     if growth(found, 'turned_apart') > NOT_BY_NOISE or all(
             item.turn_share >= _NO_TURN_SHARED and item.way_share >= _NO_WAY_SHARED

@@ -75,9 +75,9 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     if angle > _LARGE_ROTATION:
         findings = (*findings, Finding(
             'zhuang-large-rotation',
-            f'zhuang: the sensors are turned by {np.rad2deg(angle):.0f} degrees against each '
+            f'zhuang: the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
             'other, where its parameter grows and magnifies noise' + (
-                ' without bound; solved in turned coordinates' if turned else '')
+                ' without bound; solved in rotated coordinates' if turned else '')
             + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
     if not found.settled:
         findings = (*findings, Finding(
