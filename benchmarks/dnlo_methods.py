@@ -47,7 +47,7 @@ def print_drives(data):
     print('|---|---|' + '---|' * len(METHODS))
     for sequence in SEQUENCES:
         drive = read_kitti(data, sequence)
-        pairs = paper_pairs(drive)
+        pairs = paper_pairs(drive.a, drive.b)
         for reference in REFERENCES:
             found = solve(select_motions(pairs, reference), drive.T_a_b_file, PUBLISHED_C)
             print(f'| {sequence[:10]} | {reference} | ' + ' | '.join(

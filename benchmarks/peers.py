@@ -133,7 +133,7 @@ def measure_run(item):
 def measure_drive(item):
     data, sequence, reference = item
     drive = read_kitti(data, sequence)
-    return measure(paper_pairs(drive), drive.T_a_b_corrected, reference)
+    return measure(paper_pairs(drive.a, drive.b), drive.T_a_b_corrected, reference)
 
 
 def show(name, found):

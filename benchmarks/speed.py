@@ -53,7 +53,8 @@ LINES = 100_000
 
 def published_drive(data):
     """Return the motions of 2011_10_03 at B5, poses of a interpolated everywhere."""
-    return select_motions(paper_pairs(read_kitti(data, SEQUENCES[1])), 'B5')
+    drive = read_kitti(data, SEQUENCES[1])
+    return select_motions(paper_pairs(drive.a, drive.b), 'B5')
 
 
 def simulated_drive(poses):

@@ -5,19 +5,22 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.paper.published import kitti_figures, KittiDrive, read_kitti, SEQUENCES
+from benchmarks.paper.published import kitti_figures, read_kitti, SEQUENCES
 from benchmarks.paper.tasks import PAPER_SOLVERS, REFERENCES
 from trajectory_calibration.assessment.metrics import absolute_errors, relative_errors
 from trajectory_calibration.assessment.observability import translation_gain
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
@@ -88,19 +91,24 @@ def kitti_tasks(data: Path, solvers: Collection[str]) -> list[KittiTask]:
             for sequence in SEQUENCES for reference in REFERENCES]
 
 
-def paper_pairs(drive: KittiDrive) -> PosePairs:
+def paper_pairs(a: Trajectory, b: Trajectory) -> PosePairs:
     """Return the pairs of the paper's protocol.
 
-    Sensor a is interpolated over any gap and continued past its end: what published tables need,
-    and nothing else should do.
+    Sensor a is interpolated along geodesics over any gap and continued past its end: what
+    published tables need, and nothing else should do.
     """
-    return associate_by_interpolation(drive.a, drive.b, max_gap_ns=None, extrapolate=True)
+    summary = associate_by_interpolation(a, b, max_gap_ns=None).summary
+    left = left_of(a.stamps_ns, b.stamps_ns)
+    start_ns, end_ns = a.stamps_ns[left], a.stamps_ns[left + 1]
+    poses_a = se3.interpolate(
+        a.poses[left], a.poses[left + 1], (b.stamps_ns - start_ns) / (end_ns - start_ns))
+    return PosePairs(b.stamps_ns, poses_a, b.poses, replace(summary, pairs=len(b)))
 
 
 def run_kitti_task(task: KittiTask) -> list[KittiRecord]:
     """Calibrate one drive at one reference by the task's solvers."""
     drive = read_kitti(task.data, task.sequence)
-    pairs = paper_pairs(drive)
+    pairs = paper_pairs(drive.a, drive.b)
     motions = select_motions(pairs, task.reference)
     axis = translation_gain(select_motions(pairs, _AXIS_REFERENCE).A[:, :3, :3])[1][0]
     figures = kitti_figures(task.data)

@@ -15,7 +15,8 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
+from trajectory_calibration.sources.files import FileSource
 
 SEQUENCES = ('2011_09_30_drive_0027', '2011_10_03_drive_0027')
 
@@ -39,7 +40,7 @@ class PublishedRun:
         """Return the trajectories of a and b and the true (4, 4) pose of b in a."""
         return (FileSource(self.folder / 'T_S1_W1.txt', 'tum', sensor_frame='a').load(),
                 FileSource(self.folder / 'T_S2_W2.txt', 'tum', sensor_frame='b').load(),
-                read_transform(self.folder / 'T_S2_S1.txt'))
+                read_extrinsic(self.folder / 'T_S2_S1.txt').T_a_b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +92,11 @@ def read_kitti(data: Path, sequence: str) -> KittiDrive:
         b = FileSource(folder / 'cam01' / keyframes, 'tum', sensor_frame='camera').load()
         # The camera's first keyframe precedes the lidar's first scan.
         b = Trajectory(b.stamps_ns[1:], b.poses[1:], b.world_frame, b.sensor_frame)
-        truth = read_transform(folder / 'camera_gray_left_in_velo_link.txt')
+        truth = read_extrinsic(folder / 'camera_gray_left_in_velo_link.txt').T_a_b
         return KittiDrive(_in_seconds(a), _in_seconds(b), truth, truth)
     a, b = (FileSource(folder / camera / keyframes, 'tum', sensor_frame=name).load()
             for camera, name in (('cam01', 'gray'), ('cam23', 'color')))
-    truth = read_transform(folder / 'camera_color_left_in_camera_gray_left.txt')
+    truth = read_extrinsic(folder / 'camera_color_left_in_camera_gray_left.txt').T_a_b
     return KittiDrive(_in_seconds(a), _in_seconds(b), truth, _RECTIFIED_1003)
 
 

@@ -50,8 +50,9 @@ def sizes_of_runs(source: str, tasks: Iterable[Task]) -> list[MotionSizes]:
 
 def sizes_of_kitti(data: Path) -> list[MotionSizes]:
     """Measure both drives."""
-    return [row for sequence in SEQUENCES
-            for row in _measure(sequence[:10], [paper_pairs(read_kitti(data, sequence))])]
+    drives = {sequence[:10]: read_kitti(data, sequence) for sequence in SEQUENCES}
+    return [row for name, drive in drives.items()
+            for row in _measure(name, [paper_pairs(drive.a, drive.b)])]
 
 
 def _measure(name: str, pairs: list[PosePairs]) -> list[MotionSizes]:

@@ -15,8 +15,9 @@ from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResu
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe
+from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
 from trajectory_calibration.outputs.screen import deviation_words, format_result
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.sources.files import FileSource
 
 SOLVER = ('--solver', 'taylor', '--reference', 'B5')
 
@@ -138,7 +139,7 @@ def test_output_folder(files, tmp_path, capsys):
     for name, values in printed['T_a_b'].items():
         assert saved.to_dict()['T_a_b'][name] == pytest.approx(values, abs=1e-12)
     assert {**saved.to_dict(), 'T_a_b': None} == {**printed, 'T_a_b': None}
-    np.testing.assert_allclose(read_transform(folder / 'T_a_b.txt'), saved.T_a_b, atol=1e-8)
+    np.testing.assert_allclose(read_extrinsic(folder / 'T_a_b.txt').T_a_b, saved.T_a_b, atol=1e-8)
     for truth in ('result.yaml', 'T_a_b.txt'):
         _, out, _ = run(capsys, 'calibrate', a, b, *SOLVER, '--format', 'json',
                         '--ground-truth', folder / truth)
@@ -184,7 +185,7 @@ def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
     lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
     assert lines[1] == '# not observed: z'
     np.testing.assert_allclose(
-        read_transform(tmp_path / 'T_a_b.txt'),
+        read_extrinsic(tmp_path / 'T_a_b.txt').T_a_b,
         CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)
 
 

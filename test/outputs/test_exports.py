@@ -268,6 +268,9 @@ KITTI = 'calib_time: 15-Mar-2012 11:37:16\nR: {}\nT: {}\ndelta_f: 0 0\n'.format(
     ('x.txt', '\n'.join(','.join(map(repr, row)) for row in T_01[:3].tolist()), 'pose of b in a'),
     ('x.txt', ' '.join(map(repr, T_01[:3].ravel().tolist())), 'pose of b in a'),
     ('x.txt', '0.5 -0.25 0.125 0.1 -0.2 0.3', 'pose of b in a'),
+    *(('x.txt', f'# b in a\n{stamp}0.5 -0.25 0.125 ' + ' '.join(
+        map(repr, se3.rotation_to_quaternion(T_01[:3, :3]).tolist())), 'pose of b in a')
+      for stamp in ('', '0 ')),
     ('x.urdf', '<origin xyz="0.5 -0.25 0.125" rpy="0.1 -0.2 0.3"/>', 'URDF'),
     ('calib_velo_to_cam.txt', KITTI, 'KITTI.*inverted'),
     ('calib.txt', 'P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: ' + ' '.join(
@@ -289,6 +292,9 @@ def test_a_known_extrinsic_is_read(tmp_path, name, text, how):
     ('x.txt', '', 'holds no numbers, needed one transform'),
     ('x.txt', '1 2 3', 'holds 1 row of 3 numbers'),
     ('x.txt', 'hello', 'holds no transform'),
+    ('x.txt', '1 2 3 0 0 0 1\n1 2 3 0 0 0 1', 'holds 2 rows of 7 numbers, needed one transform'),
+    ('x.txt', '1 2 3 0 0 0 x', 'holds no transform'),
+    ('x.txt', '1 2 nan 0 0 0 1', 'needed x,y,z'),
     ('x.txt', '1 0 0 0\n0 1 0 0\n0 0 2 0\n0 0 0 1', 'no rotation'),
     ('x.txt', '0 0 0 0 0 0 2', 'norm 2, needed 1'),
     ('x.txt', 'R: 1 2\nT: 1 2 3', 'R has 2 numbers, needed 9'),

@@ -13,6 +13,7 @@ from trajectory_calibration.assessment.metrics import absolute_errors
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
 from trajectory_calibration.simulation import (
     flat,
     hills,
@@ -35,7 +36,7 @@ from trajectory_calibration.simulation.noise import (
     running_product,
 )
 from trajectory_calibration.solvers import load_solver
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.sources.files import FileSource
 from trajectory_calibration.time_alignment.align import match
 
 SEEDS = range(20)
@@ -49,7 +50,7 @@ def published(shared_data):
         runs = sorted((shared_data / 'simulation' / folder).glob('run_*'))
         assert runs
         return [(FileSource(run / 'T_S1_W1.txt').load(), FileSource(run / 'T_S2_W2.txt').load(),
-                 read_transform(run / 'T_S2_S1.txt')) for run in runs]
+                 read_extrinsic(run / 'T_S2_S1.txt').T_a_b) for run in runs]
     return read
 
 

@@ -16,9 +16,10 @@ from trajectory_calibration import ConfigError, Trajectory
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.cli.simulate import add_parser, FORMATS
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate
 from trajectory_calibration.simulation.files import MESSAGES, STORAGES, write_bag, write_tum
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.sources.files import FileSource
 
 
 def simulate_to(folder, *options):
@@ -34,7 +35,8 @@ def test_tum_files_hold_the_pair(tmp_path, capsys):
         np.testing.assert_array_equal(read.stamps_ns, expected.stamps_ns)
         np.testing.assert_allclose(read.poses, expected.poses, atol=1e-13)
         assert not read.warnings
-    np.testing.assert_allclose(read_transform(tmp_path / 'truth.tum'), pair.T_a_b, atol=1e-13)
+    truth = read_extrinsic(tmp_path / 'truth.tum').T_a_b
+    np.testing.assert_allclose(truth, pair.T_a_b, atol=1e-13)
     # The command that it proposes works.
     hint = re.search(r'try: trajectory_calibration (.*)', capsys.readouterr().out)[1]
     assert main([*shlex.split(hint), '--solver', 'park']) == 0

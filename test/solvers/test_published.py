@@ -6,16 +6,12 @@ import numpy as np
 from published import kitti, kitti_figures, REFERENCES, SEQUENCES, simulation_figures, simulations
 import pytest
 
+from benchmarks.paper.kitti import paper_pairs
 from trajectory_calibration import calibrate, CalibrationConfig
 from trajectory_calibration.assessment.metrics import absolute_errors
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
-
-
-def paper_protocol(a, b):
-    """Interpolate everywhere, over any gap, and continue past the end: for parity only."""
-    return associate_by_interpolation(a, b, max_gap_ns=None, extrapolate=True)
 
 
 def errors(solver, motions, T_a_b_true, **settings):
@@ -30,7 +26,7 @@ def errors(solver, motions, T_a_b_true, **settings):
 def test_kitti_table(shared_data, sequence, solver, reference):
     """To 0.001 m and 0.005 degrees; dnlo with the c and the program of the published table."""
     a, b, truth = kitti(shared_data, sequence)
-    motions = select_motions(paper_protocol(a, b), reference)
+    motions = select_motions(paper_pairs(a, b), reference)
     e_at, e_aR = errors(solver, motions, truth, dnlo_c=1e-4, dnlo_method='ipopt')
     published = kitti_figures(shared_data)[sequence, solver, reference]
     assert e_at == pytest.approx(published[0], abs=0.001)
@@ -42,7 +38,7 @@ def test_kitti_table(shared_data, sequence, solver, reference):
 def test_dnlo_in_closed_form_finds_no_higher_cost_than_the_program(
         shared_data, reference, method):
     for sequence in SEQUENCES:
-        motions = select_motions(paper_protocol(*kitti(shared_data, sequence)[:2]), reference)
+        motions = select_motions(paper_pairs(*kitti(shared_data, sequence)[:2]), reference)
         cost = {name: load_solver('dnlo')(motions, CalibrationConfig(
             dnlo_c=1e-4, dnlo_method=name)).cost for name in (method, 'ipopt')}
         assert cost[method] <= cost['ipopt'] * (1 + 1e-3)
@@ -51,7 +47,7 @@ def test_dnlo_in_closed_form_finds_no_higher_cost_than_the_program(
 def test_stated_c_keeps_the_figure_of_the_lidar_sequence(shared_data):
     """2011_09_30 at B10 does not depend on c: half the motions are above both values."""
     a, b, truth = kitti(shared_data, SEQUENCES[0])
-    e_at, e_aR = errors('dnlo', select_motions(paper_protocol(a, b), 'B10'), truth)
+    e_at, e_aR = errors('dnlo', select_motions(paper_pairs(a, b), 'B10'), truth)
     assert e_at == pytest.approx(0.202, abs=0.001)
     assert e_aR == pytest.approx(0.232, abs=0.005)
 

@@ -19,7 +19,8 @@ import pytest
 from trajectory_calibration import ConfigError, SourceError
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.geometry.se3 import quaternion_to_rotation
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
+from trajectory_calibration.sources.files import FileSource
 
 _SECOND = 10**9
 
@@ -309,28 +310,9 @@ def test_flipped_bytes_give_a_trajectory_or_a_named_error(tmp_path, seed, flips)
         assert 'a.txt' in str(error)
 
 
-@pytest.mark.parametrize('row', ['0 0.1 0.2 0.3 0 0 0.6 0.8', '0.1 0.2 0.3 0 0 0.6 0.8'])
-def test_transform_with_and_without_a_stamp(tmp_path, row):
-    T_a_b = read_transform(_write(tmp_path / 'truth.txt', ['# b in a', row]))
-    np.testing.assert_allclose(T_a_b[:3, 3], [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(T_a_b[:3, 0], [0.28, 0.96, 0], atol=1e-12)
-
-
-@pytest.mark.parametrize(('lines', 'message'), [
-    (['1 2 3'], 'line 1: 3 numbers, needed 7 or 8'),
-    (['1 2 3 0 0 0 1', '1 2 3 0 0 0 1'], 'holds 2 rows, needed one transform'),
-    (['1 2 3 0 0 0 2'], 'line 1: .* is no transform'),
-    (['1 2 3 0 0 0 x'], "line 1, column 7: 'x' is no number"),
-    (['1 2 nan 0 0 0 1'], 'line 1: .* is no transform'),
-])
-def test_wrong_transforms(tmp_path, lines, message):
-    with pytest.raises(SourceError, match=message):
-        read_transform(_write(tmp_path / 'truth.txt', lines))
-
-
 def test_published_ground_truth(shared_data):
-    truth = read_transform(
-        shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt')
+    truth = read_extrinsic(
+        shared_data / 'kitti/2011_09_30_drive_0027/camera_gray_left_in_velo_link.txt').T_a_b
     np.testing.assert_array_equal(truth[:3, 3], [0.334, -0.005, -0.076])
 
 
@@ -342,7 +324,7 @@ def test_the_sample_of_the_readme_runs_on_what_its_commands_make(tmp_path, monke
     (sample,) = re.findall(r'```python\n(.*?)```', readme, re.DOTALL)
     names = {}
     exec(sample, names)
-    truth = read_transform('drive/truth.tum')
+    truth = read_extrinsic('drive/truth.tum').T_a_b
     assert names['result'].absolute_errors(truth).e_at < 0.05
     assert (names['result'].frame_a, names['result'].frame_b) == ('lidar', 'camera')
 

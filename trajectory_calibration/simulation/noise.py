@@ -76,8 +76,8 @@ class Noise:
         Each kind of error draws from a stream of its own: raising one level leaves the others
         as they were.
         """
-        streams = [np.random.default_rng(child) for child in seed.spawn(5)]
-        for_drift, for_closures, for_jumps, for_coloured, for_white = streams
+        for_drift, for_closures, for_jumps, for_coloured, for_white = map(
+            np.random.default_rng, seed.spawn(5))
         disturbed = accumulate(
             poses, drift=self.drift, walk=self.walk, walk_rotation=self.walk_rotation,
             scale=self.scale, closures=_moments(len(poses), self.loop_closures, for_closures),
@@ -91,14 +91,8 @@ class Noise:
 
 
 def accumulate(
-    poses: FloatArray,
-    *,
-    drift: float,
-    walk: float,
-    walk_rotation: float,
-    scale: float,
-    closures: NDArray[np.intp],
-    rng: np.random.Generator,
+    poses: FloatArray, *, drift: float, walk: float, walk_rotation: float, scale: float,
+    closures: NDArray[np.intp], rng: np.random.Generator,
 ) -> FloatArray:
     """Return (N, 4, 4) poses that dead reckoning builds from steps with errors.
 
@@ -142,11 +136,7 @@ def shake(poses: FloatArray, tangents: FloatArray) -> FloatArray:
 
 
 def ornstein_uhlenbeck(
-    count: int,
-    interval: float,
-    translation: float,
-    rotation: float,
-    time: float,
+    count: int, interval: float, translation: float, rotation: float, time: float,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return (count, 6) stationary noise with the autocorrelation ``exp(-|lag| / time)``.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.simulation.noise import Noise
@@ -94,15 +94,12 @@ class Scenario:
             raise ConfigError(f'duration is {self.duration}, needed above 0 and up to 1e6 s')
         for sensor in (self.a, self.b):
             poses = _count(self.duration, sensor.rate)
-            if poses < 2:
+            if not 2 <= poses <= _MOST_POSES:
                 raise ConfigError(
-                    f'{self.duration} s at {sensor.rate} hertz are {poses} pose of '
-                    f'{sensor.sensor_frame}, needed at least 2; raise the duration or the rate')
-            if poses > _MOST_POSES:
-                raise ConfigError(
-                    f'{self.duration} s at {sensor.rate} hertz are {poses:,} poses of '
-                    f'{sensor.sensor_frame}, needed at most {_MOST_POSES:,}; lower the duration '
-                    'or the rate')
+                    f'{self.duration} s at {sensor.rate} hertz are {counted(poses, "pose")} of '
+                    f'{sensor.sensor_frame}, needed ' + (
+                        'at least 2; raise the duration or the rate' if poses < 2 else
+                        f'at most {_MOST_POSES:,}; lower the duration or the rate'))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,42 +118,24 @@ class SimulatedPair:
     T_a_b: FloatArray
 
 
-def simulate(
-    scenario: Scenario, seed: int, T_a_b: FloatArray | None = None,
-) -> SimulatedPair:
+def simulate(scenario: Scenario, seed: int, T_a_b: FloatArray | None = None) -> SimulatedPair:
     """Draw one run of a scenario.
 
     The generator of Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023,
     doi:10.3390/s23073740, section IV-A, and what real sensors add to it. The same seed gives
-    the same motion, extrinsic and worlds whatever the noise.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        What moves, and how it is seen.
-    seed : int
-        Of everything random.
-    T_a_b : (4, 4), optional
-        How sensor b is mounted; drawn from the seed where omitted.
-
-    Returns
-    -------
-    SimulatedPair
-        The trajectories and the truth.
-
+    the same motion, extrinsic and worlds whatever the noise. ``T_a_b``, (4, 4), is how sensor b is
+    mounted; drawn from the seed where omitted.
     """
     for_path, for_frames, for_a, for_b = np.random.SeedSequence(seed).spawn(4)
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     rng = np.random.default_rng(for_frames)
-    drawn = random_pose(rng)
+    drawn, T_worldb_worlda = random_pose(rng), random_pose(rng)
     T_a_b = drawn if T_a_b is None else T_a_b
-    T_worldb_worlda = random_pose(rng)
+    of_a, of_b = (path(np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate)
+                  for sensor in (scenario.a, scenario.b))
     return SimulatedPair(
-        a=observe(scenario.a, scenario.duration, path(_times(scenario, scenario.a)), for_a),
-        b=observe(scenario.b, scenario.duration,
-                  T_worldb_worlda @ path(_times(scenario, scenario.b)) @ T_a_b, for_b),
-        T_a_b=T_a_b,
-    )
+        observe(scenario.a, scenario.duration, of_a, for_a),
+        observe(scenario.b, scenario.duration, T_worldb_worlda @ of_b @ T_a_b, for_b), T_a_b)
 
 
 def random_pose(rng: np.random.Generator) -> FloatArray:
@@ -165,10 +144,6 @@ def random_pose(rng: np.random.Generator) -> FloatArray:
     return se3.from_rotation_translation(
         se3.quaternion_to_rotation(quaternion / np.linalg.norm(quaternion)),
         rng.uniform(-_REACH, _REACH, 3))
-
-
-def _times(scenario: Scenario, sensor: Sensor) -> FloatArray:
-    return np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate
 
 
 def _count(duration: float, rate: float) -> int:

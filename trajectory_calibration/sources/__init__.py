@@ -8,12 +8,12 @@
 
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.sources.files import FileSource, read_transform
+from trajectory_calibration.sources.files import FileSource
 
 if TYPE_CHECKING:
     from trajectory_calibration.sources.bags import BagSource
 
-__all__ = ['BagSource', 'FileSource', 'read_transform']
+__all__ = ['BagSource', 'FileSource']
 
 
 def __getattr__(name: str) -> Any:

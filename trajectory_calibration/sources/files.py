@@ -52,7 +52,7 @@ from trajectory_calibration.sources.times import (
     unit_of,
 )
 
-__all__ = ['FORMATS', 'FileSource', 'is_bag', 'read_transform']
+__all__ = ['FORMATS', 'FileSource', 'is_bag']
 
 _TABLES = {'tum': TUM, 'euroc': EUROC, 'kitti': KITTI}
 FORMATS = (*_TABLES, *STRUCTURED, 'npy')
@@ -264,31 +264,6 @@ class FileSource:
                 f'{self.path}: poses in {np.count_nonzero(keep)} of {counted(len(keep), "row")}, '
                 f'needed at least 2{because}; record while the sensor moves and its SLAM tracks')
         return keep
-
-
-def read_transform(path: str | os.PathLike[str]) -> FloatArray:
-    """Read one (4, 4) transform, the pose of b in a, from a file.
-
-    One row ``[t] x y z qx qy qz qw``, metres; the stamp is ignored. Raise SourceError where the
-    file cannot be read, or holds something else.
-    """
-    table = Table.parse(Path(path), read_bytes(Path(path)))
-    if len(table.line_numbers) != 1:
-        raise SourceError(
-            f'{path} holds {len(table.line_numbers)} rows, needed one transform: '
-            '[t] x y z qx qy qz qw')
-    if table.width not in (7, 8):
-        raise SourceError(
-            f'{path}, line {table.line_numbers[0]}: {counted(table.width, "number")}, needed 7 or '
-            '8: [t] x y z qx qy qz qw')
-    values = table.read_numbers(list(range(table.width - 7, table.width))).values[0]
-    norm = float(np.linalg.norm(values[3:]))
-    if not np.isfinite(values).all() or not abs(norm - 1) <= ROTATION_TOLERANCE:
-        raise SourceError(
-            f'{path}, line {table.line_numbers[0]}: {values.tolist()} is no transform, needed '
-            'x y z qx qy qz qw with a quaternion of norm 1')
-    return se3.from_rotation_translation(
-        se3.quaternion_to_rotation(values[3:] / norm), values[:3])
 
 
 def _poses(values: FloatArray, layout: Layout) -> FloatArray:

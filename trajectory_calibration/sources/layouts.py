@@ -55,12 +55,12 @@ class Layout:
 
     @property
     def time(self) -> int | None:
-        """The column of the time, or of its whole seconds."""
+        """Return the column of the time, or of its whole seconds."""
         return self.columns.get('t', self.columns.get('sec'))
 
     @property
     def pose_columns(self) -> list[int]:
-        """All columns of the pose: the position, then the orientation."""
+        """Return all columns of the pose: the position, then the orientation."""
         return self.at(POSITION) + (
             self.at(QUATERNION) or self.at(ROTATION) or self.at(_ANGLES) or self.at(_DEGREES))
 
@@ -305,10 +305,10 @@ _FOREIGN = {'acc', 'accel', 'acceleration', 'angular', 'b', 'ba', 'bg', 'bias', 
 _OF_POSITION = {'', 'p', 'pos', 'position', 't', 'trans', 'translation', 'pose'}
 _OF_QUATERNION = {'q', 'quat', 'quaternion', 'orientation', 'ori', 'rot', 'rotation', 'attitude'}
 _TIMES = {'t', 'time', 'timestamp', 'timestamps', 'stamp', 'utime', 'times'}
-_SECONDS = {'sec', 'secs', 'second', 'seconds'}
-_NANOSECONDS = {'nsec', 'nsecs', 'nanosec', 'nanosecs', 'nanosecond', 'nanoseconds', 'nanos'}
-_UNITS = {'s': 's', 'sec': 's', 'secs': 's', 'seconds': 's', 'ms': 'ms', 'msec': 'ms', 'us': 'us',
-          'usec': 'us', 'ns': 'ns', 'nsec': 'ns', 'nanosec': 'ns'}
+_UNITS = {spelling: unit for unit, spellings in (
+    ('s', 's sec secs second seconds'), ('ms', 'ms msec'), ('us', 'us usec'),
+    ('ns', 'ns nsec nsecs nanosec nanosecs nanosecond nanoseconds nanos'),
+) for spelling in spellings.split()}
 _JOINED = re.compile(r'(p|t|pos|position|trans|translation|q|quat|quaternion|orientation)([xyzw])')
 
 
@@ -319,19 +319,15 @@ def _role(name: str) -> str | None:
     words = [word for word in re.split(r'[\s._/:-]+', re.sub(r'[\[(].*', '', text)) if word]
     if not words or _FOREIGN & set(words):
         return None
-    last = words[-1]
-    if last in _NANOSECONDS and words[0] not in _TIMES:
-        return 'nsec'
-    if last in _SECONDS and words[0] not in _TIMES:
-        return 'sec'
+    first, last = words[0], words[-1]
+    whole = {'s': 'sec', 'ns': 'nsec'}.get(_UNITS.get(last, '')) if len(last) > 2 else None
+    if whole and (first not in _TIMES or words[-2] == 'stamp'):
+        return whole
     if _TIMES & set(words) and last not in 'xyzw':
         unit = _UNITS.get(unit, _UNITS.get(last, '') if len(words) > 1 else '')
-        if len(words) > 1 and words[-2] == 'stamp' and last in _SECONDS | _NANOSECONDS:
-            return 'sec' if last in _SECONDS else 'nsec'
         return f't_{unit}' if unit else 't'
-    if last in ('roll', 'pitch', 'yaw') or (words[0] in ('roll', 'pitch', 'yaw')
-                                            and last in ('deg', 'rad')):
-        axis = last if last in ('roll', 'pitch', 'yaw') else words[0]
+    axis = last if last in _ANGLES else first if last in ('deg', 'rad') else ''
+    if axis in _ANGLES:
         return f'{axis}_deg' if 'deg' in (last, unit[:3]) else axis
     if matrix := re.fullmatch(r'[rm]_?([1-3])_?([1-4])', '_'.join(words)):
         return f'r{matrix[1]}{matrix[2]}'
@@ -343,5 +339,5 @@ def _role(name: str) -> str | None:
         if kind & _OF_QUATERNION or last == 'w':
             return f'q{last}'
         return last if not kind or kind & _OF_POSITION else None
-    is_number = words[0] in ('frame', 'frameid', 'index', 'idx') and len(words) <= 2
+    is_number = first in ('frame', 'frameid', 'index', 'idx') and len(words) <= 2
     return 'number' if is_number else None

@@ -141,9 +141,9 @@ def read_nerfstudio(path: Path, data: bytes) -> RawPoses:
 
 
 def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
-    stamps_ns, numbers = stamps_in_names(names, path) if names else (None, None)
-    order = np.argsort(numbers if stamps_ns is None and numbers is not None else
-                       stamps_ns if stamps_ns is not None else np.arange(len(poses)))
+    stamps_ns, numbers = stamps_in_names(names, path)
+    keys = numbers if stamps_ns is None else stamps_ns
+    order = np.arange(len(poses)) if keys is None else np.argsort(keys)
     return RawPoses(poses[order], None if stamps_ns is None else stamps_ns[order],
                     None if numbers is None else numbers[order],
                     kind='names of images that are no times')

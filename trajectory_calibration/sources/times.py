@@ -143,8 +143,7 @@ def read_times(
 
 def stamps_of(table: Table, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
     """Return the (N,) nanoseconds of a table of times, and which of them are not finite."""
-    values = table.read_numbers([0]).values[:, 0]
-    numbers = table.read_numbers([], 0, TIME_UNITS[unit or unit_of(values)])
+    numbers = table.read_numbers([], 0, TIME_UNITS[unit or unit_of(table.sample()[:, 0])])
     return numbers.stamps_ns, ~numbers.finite
 
 

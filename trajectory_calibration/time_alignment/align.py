@@ -16,12 +16,8 @@ from trajectory_calibration.time_alignment.pairing import associate
 def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
     """Return what the clock of b needed, and the pairs.
 
-    Raises
-    ------
-    AssociationError
-        As ``synchronise`` and ``associate``, with a question where stamps of another unit may be
-        why.
-
+    Raise AssociationError as ``synchronise`` and ``associate`` do, with a question where stamps of
+    another unit may be why.
     """
     try:
         clock = synchronise(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from trajectory_calibration.time_alignment.cross_correlation import (
 )
 from trajectory_calibration.time_alignment.rotation_increments import (
     is_significant,
+    largest_gain,
     ROUNDING,
     STEP_SHARE,
     Turning,
@@ -154,11 +156,7 @@ def synchronise(
     ``max_offset_s`` of it; 'auto': the same where it is significantly different. Unless the mode
     is fixed, a drift of the clock is told where it is significant.
 
-    Raises
-    ------
-    AssociationError
-        'estimate' was asked for, and the turning does not tell.
-
+    Raise AssociationError where 'estimate' was asked for, and the turning does not tell.
     """
     if mode == 'fixed' or max_offset_s == 0:
         return Clock(time_offset_s)
@@ -227,24 +225,19 @@ def _valley(a: Trajectory, b: Trajectory, start_ns: int, cell_ns: int) -> _Valle
         shift, valley = found
         if valley is not None:
             scatter = offset_deviation(turning, shift, half_width_ns(a, cell_ns))
-            return _no_better_than_none(
-                turning, replace(valley, seconds=start_ns * 1e-9 + shift,
-                                 std=max(valley.std, scatter)), start_ns)
+            valley = valley._replace(
+                seconds=start_ns * 1e-9 + shift, std=max(valley.std, scatter))
+            return _no_better_than_none(turning, valley, start_ns)
         # It goes on beyond: noise that interpolation averages may put the first guess cells off.
         start_ns += round(shift * 1e9)
     return None
 
 
-@dataclass(frozen=True)
-class _Valley:
-    """An offset at which the two agree better than at those around it.
+class _Valley(NamedTuple):
+    """An offset at which the two agree better than at those around it, and its deviation.
 
-    Attributes
-    ----------
-    seconds, std : the offset and its standard deviation.
-    disagreement : mean squared difference of their turns over a window, squared radians.
-    samples : number of independent windows.
-
+    ``disagreement`` is the mean squared difference of their turns over a window, squared radians,
+    ``samples`` the number of independent windows.
     """
 
     seconds: float
@@ -296,9 +289,7 @@ def _disagreement(turning: Turning, shifts_s: FloatArray) -> tuple[FloatArray, F
     """Return (S,) sums of squared differences after shifts, and (S,) the shares of noise in a."""
     turned_a, noise = turning.of_a_with_noise(np.rint(1e9 * shifts_s).astype(np.int64))
     M = np.moveaxis(turned_a, -1, -2) @ turning.of_b
-    singular = np.asarray(np.linalg.svd(M, compute_uv=False))
-    gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(M) < 0)
-    return (turned_a**2).sum(axis=(1, 2)) + turning.turned - 2 * gain, noise
+    return (turned_a**2).sum(axis=(1, 2)) + turning.turned - 2 * largest_gain(M), noise
 
 
 def _disagreement_at(turning: Turning, shift_s: float) -> float:
@@ -316,4 +307,4 @@ def _no_better_than_none(turning: Turning, valley: _Valley, start_ns: int) -> _V
     at_zero = _disagreement_at(turning, -start_ns * 1e-9) / len(turning)
     if at_zero > valley.disagreement:
         return valley
-    return replace(valley, seconds=0.0, std=max(valley.std, abs(valley.seconds)))
+    return valley._replace(seconds=0.0, std=max(valley.std, abs(valley.seconds)))

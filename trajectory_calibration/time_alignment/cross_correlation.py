@@ -13,14 +13,17 @@ exteroceptive sensors", ISER 2010, doi:10.1007/978-3-642-28572-1_14.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
+from trajectory_calibration.time_alignment.rotation_increments import (
+    largest_gain,
+    longest_step_ns,
+)
 
 # Cells of the grid, at the most.
 _MAX_CELLS = 2**18
@@ -37,8 +40,7 @@ _TOLD_APART = 5.0
 _BOTTOM_SHARE = 0.1
 
 
-@dataclass(frozen=True)
-class CoarseOffset:
+class CoarseOffset(NamedTuple):
     """Where two sensors turned alike.
 
     Attributes
@@ -52,7 +54,7 @@ class CoarseOffset:
 
     correlation: float
     cell_ns: int
-    starts_ns: tuple[int, ...]
+    starts_ns: list[int]
 
 
 def find_coarse_offset(a: Trajectory, b: Trajectory, max_offset_s: float) -> CoarseOffset | None:
@@ -78,8 +80,8 @@ def find_coarse_offset(a: Trajectory, b: Trajectory, max_offset_s: float) -> Coa
     # Cells shorter than a step share its noise.
     samples = min(1.0, cell_ns / usual) * found.known
     places = [best, *_rivals(found, allowed, samples, best)]
-    return CoarseOffset(float(found.correlation[best]), cell_ns,
-                        tuple(int(found.lags[place]) * cell_ns for place in places))
+    return CoarseOffset(
+        float(found.correlation[best]), cell_ns, (found.lags[places] * cell_ns).tolist())
 
 
 def chance_factor(samples: FloatArray, other: float) -> FloatArray:
@@ -113,8 +115,7 @@ def _rivals(
     limit = max(float(least[0]), 0.0) + _BOTTOM_SHARE * float(rise[0])
     near = least - _BOTTOM_SHARE * rise <= limit * chance_factor(samples[places], samples[best])
     found = places[near & (places != best)]
-    distance = np.abs(lags.lags[found])
-    return [int(place) for place in found[np.argsort(distance, kind='stable')]][:6]
+    return found[np.argsort(np.abs(lags.lags[found]), kind='stable')][:6].tolist()
 
 
 def _without_pauses(
@@ -160,17 +161,11 @@ def _turned_in_cells(
     return np.diff(at_edges, axis=0) * known[:, None], known
 
 
-@dataclass(frozen=True, eq=False)
-class _Lags:
-    """How two sensors compare at K lags.
+class _Lags(NamedTuple):
+    """How two sensors compare at (K,) lags, int64, in cells.
 
-    Attributes
-    ----------
-    lags : (K,) int64, in cells.
-    correlation : (K,).
-    apart : (K,) mean squared difference of their turns in a cell, squared radians.
-    known : (K,) number of cells in which both are known.
-
+    (K,) correlations; mean squared differences of their turns in a cell, squared radians; numbers
+    of cells in which both are known.
     """
 
     lags: NDArray[np.int64]
@@ -201,9 +196,7 @@ def _correlate(
     energy_a = products(square_a, weight_b)[:, 0, 0]
     energy_b = products(weight_a, square_b)[:, 0, 0]
     overlap = products(weight_a, weight_b)[:, 0, 0]
-    singular = np.linalg.svd(covariance, compute_uv=False)
-    # A mirror image is no rotation: with a negative determinant the least one counts against.
-    gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(covariance) < 0)
+    gain = largest_gain(covariance)
     energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
     enough = overlap > max(_LEAST_OVERLAP * min(known_a.sum(), known_b.sum()), 1.0)
     usable = enough & (energy > 1e-9 * max(float(energy.max()), np.finfo(float).tiny))

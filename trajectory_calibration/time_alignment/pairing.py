@@ -18,7 +18,6 @@ from trajectory_calibration.data.pose_pairs import (
 )
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, ConfigError, counted
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.interpolation import interpolate, left_of
 
 # Stamps closer than this are one instant: rounding to microseconds.
@@ -53,29 +52,14 @@ def associate(
 ) -> PosePairs:
     """Pair the poses of two trajectories over their common time span.
 
-    Parameters
-    ----------
-    a, b : Trajectory
-        The parent and the child sensor.
-    method : 'auto', 'interpolate' or 'nearest'
-        ``associate_by_interpolation`` or ``associate_nearest``; 'auto' interpolates the one with
-        more poses a second, a where they are about equal, but where at least half of the poses
-        of the other lie within 10 ms of a pose of it or in a gap of at most 0.15 s, only these:
-        keyframes of one trigger need no guess of what happened between two poses.
-    max_difference_ns : int
-        For 'nearest': the largest difference of stamps in a pair.
-    max_gap_ns : int
-        For 'interpolate': the longest gap of a that is bridged.
-    time_offset_ns : int
-        Added to the stamps of b: the time in the clock of a of a pose of b.
+    ``method`` is 'nearest' (``associate_nearest``), 'interpolate' (``associate_by_interpolation``)
+    or 'auto'. That interpolates the one with more poses a second, a where they are about equal,
+    but where at least half of the poses of the other lie within 10 ms of a pose of it or in a gap
+    of at most 0.15 s, only these: keyframes of one trigger need no guess of what happened between
+    two poses. ``time_offset_ns`` is added to the stamps of b.
 
-    Raises
-    ------
-    AssociationError
-        No overlap in time, or fewer than three pairs.
-    ConfigError
-        An unknown method.
-
+    Raise AssociationError where they do not overlap in time, or for fewer than three pairs;
+    ConfigError for an unknown method.
     """
     if method not in METHODS:
         raise ConfigError(f'method {method!r} is unknown; needed one of {", ".join(METHODS)}')
@@ -125,14 +109,10 @@ def associate_nearest(
     mutual = nearest_b[nearest_a] == np.arange(len(b))
     near = np.abs(a.stamps_ns[nearest_a] - stamps_b) <= max_difference_ns
     j = np.flatnonzero(mutual & near)
-    i = nearest_a[j]
-    outside = _outside(a, stamps_b)
-    summary = _summarise(
-        'nearest', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
-        np.count_nonzero(~outside & ~near))
+    summary = _summarise('nearest', a, stamps_b, j, time_offset_ns, near=near)
     _require_pairs(summary, a, b, f'no closer than {max_difference_ns * 1e-9:g} s; raise '
                    'max_time_difference, set time_offset, or use interpolation')
-    return PosePairs(stamps_b[j], a.poses[i], b.poses[j], summary)
+    return PosePairs(stamps_b[j], a.poses[nearest_a[j]], b.poses[j], summary)
 
 
 def associate_by_interpolation(
@@ -141,7 +121,6 @@ def associate_by_interpolation(
     *,
     max_gap_ns: int | None,
     time_offset_ns: int = 0,
-    extrapolate: bool = False,
     prefer_near: bool = False,
 ) -> PosePairs:
     """Evaluate a at the stamps of b, as ``interpolation.interpolate`` does.
@@ -151,34 +130,27 @@ def associate_by_interpolation(
     coincides with one of a needs no neighbour and is kept whatever the gap.
 
     ``prefer_near`` keeps to the poses of b within 10 ms of one of a, or in a gap of at most
-    0.15 s, where these are at least half of all. ``extrapolate`` keeps to the geodesic between two
-    poses and continues the first and the last one beyond the ends of a. It exists to repeat the
-    protocol of published tables and is wrong for anything else.
+    0.15 s, where these are at least half of all.
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
     left = left_of(a.stamps_ns, stamps_b)
-    right = left + 1
-    gap = a.stamps_ns[right] - a.stamps_ns[left]
-    outside = _outside(a, stamps_b)
+    gap = a.stamps_ns[left + 1] - a.stamps_ns[left]
     since_left = stamps_b - a.stamps_ns[left]
     to_nearest = np.minimum(np.abs(since_left), np.abs(gap - since_left))
     bridged = np.ones(len(b), bool) if max_gap_ns is None else gap <= max_gap_ns
     bridged |= to_nearest <= COINCIDENCE_NS
-    usable = bridged if extrapolate else bridged & ~outside
+    inside = _inside(a, stamps_b)
+    usable = inside & bridged
     near = usable & ((to_nearest <= _NEAR_NS) | (gap <= _SHORT_GAP_NS))
     between = 0
     if prefer_near and near.sum() >= _NEAR_SHARE * usable.sum():
         between = int(np.count_nonzero(usable & ~near))
         usable = near
     j = np.flatnonzero(usable)
-    if extrapolate:
-        poses_a = se3.interpolate(a.poses[left[j]], a.poses[right[j]], since_left[j] / gap[j])
-    else:
-        poses_a = interpolate(a.stamps_ns, a.poses, stamps_b[j], max_gap_ns=max_gap_ns)
+    poses_a = interpolate(a.stamps_ns, a.poses, stamps_b[j], max_gap_ns=max_gap_ns)
     summary = _summarise(
-        'interpolate', a, stamps_b, j, time_offset_ns, np.count_nonzero(outside),
-        np.count_nonzero(~outside & ~bridged), between)
+        'interpolate', a, stamps_b, j, time_offset_ns, near=bridged, between=between)
     _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
                    f'than {(max_gap_ns or 0) * 1e-9:g} s. {_ways_out(a.stamps_ns, stamps_b)}')
     return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
@@ -191,8 +163,8 @@ def _nearest(sorted_stamps: NDArray[np.int64], queries: NDArray[np.int64]) -> ND
     return right - left_is_nearer
 
 
-def _outside(a: Trajectory, stamps_b: NDArray[np.int64]) -> NDArray[np.bool_]:
-    return (stamps_b < a.stamps_ns[0]) | (stamps_b > a.stamps_ns[-1])
+def _inside(a: Trajectory, stamps_b: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (stamps_b >= a.stamps_ns[0]) & (stamps_b <= a.stamps_ns[-1])
 
 
 def _require_overlap(
@@ -246,10 +218,12 @@ def _summarise(
     stamps_b: NDArray[np.int64],
     paired: NDArray[np.intp],
     time_offset_ns: int,
-    outside: int | np.intp,
-    in_gaps: int | np.intp,
+    *,
+    near: NDArray[np.bool_],
     between: int = 0,
 ) -> AssociationSummary:
+    """Count the (N,) poses of b; ``near`` are those with a pose of a near enough."""
+    inside = _inside(a, stamps_b)
     difference = np.abs(a.stamps_ns[_nearest(a.stamps_ns, stamps_b[paired])] - stamps_b[paired])
     return AssociationSummary(
         method=method,
@@ -257,8 +231,8 @@ def _summarise(
         poses_a=len(a),
         poses_b=len(stamps_b),
         pairs=len(paired),
-        outside=int(outside),
-        in_gaps=int(in_gaps),
+        outside=int(np.count_nonzero(~inside)),
+        in_gaps=int(np.count_nonzero(inside & ~near)),
         between=between,
         median_difference_s=float(np.median(difference)) * 1e-9 if len(paired) else 0.0,
         max_difference_s=float(difference.max(initial=0)) * 1e-9,

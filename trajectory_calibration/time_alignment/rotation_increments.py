@@ -117,24 +117,21 @@ class Turning:
         That is the mean over the windows of the variances at both ends, for a variance of one of a
         pose: half-way between two poses half of it is left.
         """
-        (start, at_start), (end, at_end) = (
-            self._rotation_at(self._moved(times, shifts_ns[:, None], drift))
-            for times in (self.starts_ns, self.ends_ns))
+        (start, at_start), (end, at_end) = map(
+            self._rotation_at, self._moved(shifts_ns[:, None], drift))
         return _turn_between(start, end), at_start + at_end
 
     def known(self, shift_ns: int, drift: float, reach_ns: int) -> NDArray[np.bool_]:
         """Tell which of the moved windows begin and end in no gap of a, nor near its ends."""
-        start, end = (_covered(self.a, self._moved(times, shift_ns, drift), reach_ns)
-                      for times in (self.starts_ns, self.ends_ns))
+        start, end = (_covered(self.a, times, reach_ns) for times in self._moved(shift_ns, drift))
         return start & end
 
     def _moved(
-        self, times: NDArray[np.int64], shift_ns: int | NDArray[np.int64], drift: float,
-    ) -> NDArray[np.int64]:
-        moved = times + shift_ns
-        if drift != 0.0:
-            moved += np.rint(drift * (times - self.middle_ns)).astype(np.int64)
-        return moved
+        self, shift_ns: int | NDArray[np.int64], drift: float,
+    ) -> list[NDArray[np.int64]]:
+        """Return the beginnings and the ends of the moved windows."""
+        return [times + np.rint(drift * (times - self.middle_ns)).astype(np.int64) + shift_ns
+                for times in (self.starts_ns, self.ends_ns)]
 
     def _rotation_at(self, times: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Return (4, S, K) quaternions of a at (S, K) times, and the (S,) noise in them."""
@@ -179,14 +176,21 @@ def _turn_between(start: FloatArray, end: FloatArray) -> FloatArray:
 def _spread(count: int) -> tuple[NDArray[np.intp], int]:
     """Return which of ``count`` windows are used, and one of how many.
 
-    They are never in step with what a driver does.
-
-    Even strides would be: turns that change every two seconds would all be cut at the same place,
-    and a clock offset of 10 ms be proved that is none.
+    Even strides may be in step with what a driver does: turns that change every two seconds would
+    all be cut at the same place, and a clock offset of 10 ms be proved that is none.
     """
     stride = max(1, count // _WINDOWS)
     first = np.arange(0, count - stride + 1, stride)
     return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp), stride
+
+
+def largest_gain(covariance: FloatArray) -> FloatArray:
+    """Return the (S,) largest traces of (S, 3, 3) matrices times a rotation: Kabsch's gain."""
+    singular = np.linalg.svd(covariance, compute_uv=False)
+    # A mirror image is no rotation: with a negative determinant the least one counts against.
+    gain: FloatArray = (
+        singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(covariance) < 0))
+    return gain
 
 
 def is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
