@@ -22,10 +22,33 @@ suppress_warnings = ['myst.xref_missing', 'myst.header', 'misc.highlighting_fail
 
 autodoc_member_order = 'bysource'
 autodoc_typehints = 'signature'
-napoleon_use_ivar = True
+autodoc_type_aliases = {'ArrayLike': 'ArrayLike'}
 # Needed on a vehicle, not for the pages.
 autodoc_mock_imports = ['rclpy', 'casadi']
 
 html_theme = 'furo'
 html_title = f'trajectory_calibration {release}'
 html_static_path = []
+
+
+def setup(app):
+    """Take part in the reading of docstrings."""
+    app.connect('autodoc-process-docstring', _attributes_as_list, priority=400)
+
+
+def _attributes_as_list(*event):
+    """Make a list of 'Attributes', where napoleon reads the text behind a name as its type."""
+    lines = event[-1]
+    if 'Attributes' not in lines:
+        return
+    start = lines.index('Attributes')
+    listed = []
+    for line in lines[start + 2:]:
+        names, colon, text = line.partition(' : ')
+        if line.startswith(' ') or not line:
+            listed.append(f'  {line.strip()}'.rstrip())
+        elif colon:
+            listed.append(f'- **{names}**: {text}')
+        else:
+            break
+    lines[start:start + 2 + len(listed)] = ['', *listed, '']

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extrinsic calibration of two sensors from their trajectories.
 
-``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a from where
-each of them thinks it went. Only NumPy is imported here; CasADi and ROS load where they are used.
+``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a. Only NumPy is
+imported here; CasADi and ROS load where they are used.
 """
 
 from typing import Any, TYPE_CHECKING
