@@ -10,6 +10,7 @@ from dataclasses import asdict
 
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import (
+    check_answer,
     check_orientations,
     check_pairs,
     parted_steps,
@@ -24,7 +25,11 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.held import without_held
 from trajectory_calibration.data.motion_pairs import select_motions
-from trajectory_calibration.data.plausibility import position_doubts, time_doubts
+from trajectory_calibration.data.plausibility import (
+    position_doubts,
+    time_doubts,
+    unit_doubts,
+)
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import MotionError, SolverError, TrajectoryError
@@ -73,6 +78,7 @@ def calibrate(
                 'stamps and poses, or load a file with FileSource')
     config = config or CalibrationConfig()
     solve: Solver = load_solver(config.solver)
+    frames = trajectory_a.sensor_frame, trajectory_b.sensor_frame
     recording = recording_of(trajectory_a, trajectory_b)
     trajectory_a, held_a = without_held(trajectory_a)
     trajectory_b, held_b = without_held(trajectory_b.scaled(config.scale))
@@ -90,10 +96,11 @@ def calibrate(
         motions = select_motions(pairs, choice.reference)
         solution = solve(motions, config)
         if config.input_checks:
-            require_fit(solution.T_a_b, pairs,
-                        (trajectory_a.sensor_frame, trajectory_b.sensor_frame), config.solver)
+            require_fit(solution.T_a_b, pairs, frames, config.solver)
         uncertainty = estimate_uncertainty(solution, motions, config, choice.known)
         T_a_b, covariance = apply_prior(solution.T_a_b, uncertainty.covariance, config.prior)
+        answer_doubts = check_answer(
+            solution.T_a_b, uncertainty.covariance, pairs.scaled(solution.scale), frames, config)
         metrics = relative_errors(T_a_b, motions.scaled(solution.scale))
         observability = observe(
             motions, uncertainty.covariance, covariance, config, trajectory_a.sensor_frame)
@@ -129,7 +136,9 @@ def calibrate(
                 *doubts,
                 *matched,
                 *questions,
+                *unit_doubts(solution.scale, trajectory_a.sensor_frame),
                 *short_drive(pairs, metrics),
+                *answer_doubts,
                 *(parted_steps(pairs) if solution.diagnosis is None else ()),
                 *solution.findings,
                 *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),

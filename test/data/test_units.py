@@ -89,3 +89,20 @@ def test_what_was_found_before_an_error_is_in_it():
         calibrate(RUN.a, replace(RUN.b, poses=RUN.b.poses[::-1]), config)
     assert 'found before' not in str(failed.value)
     assert np.isfinite(calibrate(RUN.a, RUN.b).T_a_b).all()
+
+
+@pytest.mark.parametrize(('unit', 'per_metre'), [
+    ('feet', 1 / 0.3048), ('centimetres', 100.0), ('millimetres', 1000.0)])
+def test_the_parent_in_a_unit_smaller_than_the_other(unit, per_metre):
+    def asked(a, b):
+        return [found.text for found in calibrate(a, b).findings
+                if found.code == 'length-unit' and 'those of b' in found.text]
+    question, = asked(RUN.a.scaled(per_metre), RUN.b)
+    assert f'in {unit}? Then so is the translation' in question
+    # The other way round the answer is in metres.
+    assert not asked(RUN.a, RUN.b.scaled(per_metre))
+
+
+def test_times_in_days():
+    a = replace(RUN.a, stamps_ns=7 * 10**14 + (RUN.a.stamps_ns - RUN.a.stamps_ns[0]) // 86400)
+    assert 'in days? Then multiply them by 86400' in time_doubts(a)[0].text

@@ -189,7 +189,7 @@ def test_angles_are_read_where_the_user_says_so(tmp_path):
             zip(_column('t', 's'), yaw.tolist(), strict=True)]
     path = tmp_path / 'a.txt'
     path.write_text('\n'.join(rows), encoding='utf-8')
-    with pytest.raises(SourceError, match=r'7 columns .* three angles .*roll,pitch,yaw'):
+    with pytest.raises(SourceError, match=r'7 columns .* three angles\? .*roll,pitch,yaw .rad'):
         FileSource(path).load()
     R = FileSource(path, columns='t,x,y,z,roll,pitch,yaw').load().rotations
     expected = (se3.exp_so3(np.outer(yaw, [0, 0, 1])) @ se3.exp_so3([0, 0.2, 0])
@@ -321,3 +321,32 @@ def test_rows_of_the_identity_far_from_their_neighbours_are_dropped(tmp_path):
     np.testing.assert_array_equal(
         trajectory.stamps_ns, np.delete(STAMPS_NS, [11, 12, 20]))
     assert 'dropped 3 of 30 poses: identity, far from the neighbours' in trajectory.warnings[0]
+
+
+@pytest.mark.parametrize(('heading', 'factor'), [
+    ('time,x,y,z,roll_deg,pitch_deg,yaw_deg', 180 / np.pi),
+    ('time [s],x [m],y [m],z [m],roll [deg],pitch [deg],yaw [deg]', 180 / np.pi),
+    ('time,x,y,z,roll_rad,pitch_rad,yaw_rad', 1.0),
+    ('time [s],x [m],y [m],z [m],roll [rad],pitch [rad],yaw [rad]', 1.0),
+])
+def test_angles_whose_unit_the_heading_says(tmp_path, heading, factor):
+    angles = np.array([[0.1, -0.2, 0.3], [0.2, 0.1, 2.9]])
+    rows = [f'{k},1,2,3,' + ','.join(map(repr, row)) for k, row in enumerate(
+        (factor * angles).tolist())]
+    path = tmp_path / 'a.csv'
+    path.write_text('\n'.join([heading, *rows]) + '\n', encoding='utf-8')
+    read = FileSource(path).load()
+    for R, (roll, pitch, yaw) in zip(read.rotations, angles, strict=True):
+        x, y, z = (se3.exp_so3(angle * axis) for angle, axis in zip(
+            (roll, pitch, yaw), np.eye(3), strict=True))
+        np.testing.assert_allclose(R, z @ y @ x, atol=1e-12)
+
+
+def test_angles_without_a_unit_are_refused_with_both_options(tmp_path):
+    path = tmp_path / 'a.csv'
+    path.write_text('time,x,y,z,roll,pitch,yaw\n0,1,2,3,.1,.2,.3\n1,1,2,3,.1,.2,.4\n',
+                    encoding='utf-8')
+    with pytest.raises(SourceError, match='without their unit') as refused:
+        FileSource(path).load()
+    for columns in re.findall(r'--columns (\S+)', str(refused.value)):
+        assert len(FileSource(path, columns=columns).load()) == 2

@@ -22,8 +22,8 @@ _FASTEST = 100.0
 # Seconds over which it is taken: between two poses of a fast sensor lies more noise than way.
 _SPEED_SPAN_NS = 1_000_000_000
 
-# A median step, seconds, that no trajectory of use has, and the longest that a divisor may leave.
-_LONGEST_STEP = 10.0
+# Median steps, seconds, beyond which there is no sensor, and the longest that a divisor may leave.
+_SHORTEST_STEP, _LONGEST_STEP = 1e-5, 10.0
 _USUAL_STEP = 1.0
 # Fewer poses may be captures, one at each place where the sensors stood still.
 _CAPTURES = 30
@@ -32,15 +32,25 @@ _CAPTURES = 30
 _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
 _RATES = 10.0
 
+# Units of length in a metre, and how near a scale comes to one: a SLAM is off by some per cent.
+_SMALL_UNITS = (('feet', 1 / 0.3048), ('inches', 1 / 0.0254), ('centimetres', 100.0),
+                ('millimetres', 1000.0))
+_LIKE_A_UNIT = 0.03
+
 # Steps of a trajectory from the origin at which a row of the identity is none of its poses.
 _FAR_STEPS = 5.0
 
 
 def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
-    """Return a question about the unit of the stamps, where the steps are far too long."""
+    """Return a question about the unit of the stamps, where the steps are no sensor's."""
     step = trajectory.usual_step_ns * 1e-9
-    if step <= _LONGEST_STEP or len(trajectory) < _CAPTURES:
+    if len(trajectory) < _CAPTURES or _SHORTEST_STEP <= step <= _LONGEST_STEP:
         return ()
+    if step < _SHORTEST_STEP:
+        return (Finding(
+            'time-unit',
+            f'{trajectory.sensor_frame}: the median step between its poses is {step:.2g} s: are '
+            'its times in days? Then multiply them by 86400', {'median_step_s': step}),)
     unit, divisor = next(
         (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
     return (Finding(
@@ -63,6 +73,22 @@ def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
         'length-unit',
         f'{trajectory.sensor_frame}: its median speed is {speed:.3g} m/s: are its positions in '
         'metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed}),)
+
+
+def unit_doubts(scale: float, frame: str) -> tuple[Finding, ...]:
+    """Return a question where sensor a may be in feet, or another unit smaller than a metre.
+
+    ``scale`` is what the lengths of b were multiplied by. The answer is in the unit of a. Where b
+    is in a smaller unit than a, all is well.
+    """
+    for unit, per_metre in _SMALL_UNITS:
+        if abs(scale / per_metre - 1) < _LIKE_A_UNIT:
+            return (Finding(
+                'length-unit',
+                f'{frame}: its lengths are {scale:.4g} times those of b: are its positions in '
+                f'{unit}? Then so is the translation. Divide them by {per_metre:.6g}',
+                {'factor': scale}),)
+    return ()
 
 
 def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:

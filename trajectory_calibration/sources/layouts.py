@@ -9,7 +9,7 @@ stays ambiguous is an error that says how many columns there are and which optio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import re
 
@@ -129,7 +129,8 @@ def from_names(text: str, width: int) -> Layout:
 def from_headings(headings: Sequence[str], width: int) -> Layout | None:
     """Return the layout that a heading names, None where none of them does.
 
-    Raise SourceError where a heading names two columns for one thing.
+    Raise SourceError where a heading names two columns for one thing, or angles without their
+    unit.
     """
     for heading in reversed(headings):
         text = re.sub(r'\s+(?=[\[(])', '', heading.lstrip('#%/ \t"'))
@@ -140,8 +141,9 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
             role = _role(name)
             if role is not None:
                 found.setdefault(role, []).append(column)
-        if len(names) > width or _layout(dict.fromkeys(found, 0), '') is None:
+        if len(names) > width or _layout(dict.fromkeys(found, 0), '', angles=True) is None:
             continue
+        angles = _unit_of_angles(names, found)
         roles = {}
         for role, named in found.items():
             # The time of a message is that of its header, not that of its reception.
@@ -152,8 +154,21 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
                     f'{", ".join(names[k].strip() for k in columns)}; say which one counts: '
                     f'--columns with the names of all {width} columns ({_TUM}, - skips one)')
             roles[role] = columns[0]
-        return _layout(roles, 'from the heading')
+        return _layout(roles, 'from the heading', angles=angles)
     return None
+
+
+def _unit_of_angles(names: Sequence[str], found: Mapping[str, object]) -> bool:
+    """Tell whether a heading says the unit of roll, pitch and yaw; raise where they need one."""
+    if 'roll_deg' in found or any(
+            _role(name) == 'roll' and 'rad' in name.lower() for name in names):
+        return True
+    if _layout(dict.fromkeys(found, 0), '') is None:
+        said = ','.join(_role(name) or '-' for name in names)
+        in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
+        raise SourceError('the heading names roll, pitch and yaw without their unit; say '
+                          f'--columns {said} (radians) or --columns {in_degrees}')
+    return False
 
 
 def from_numbers(
@@ -204,8 +219,8 @@ def from_numbers(
 _HINTS = {
     3: ': positions without an orientation cannot be calibrated',
     4: ': positions without an orientation cannot be calibrated',
-    6: ': three angles? Then --columns x,y,z,roll,pitch,yaw',
-    7: ': three angles in radians? Then --columns t,x,y,z,roll,pitch,yaw',
+    6: ': three angles? Then --columns x,y,z,roll,pitch,yaw (radians; roll_deg: degrees)',
+    7: ': three angles? Then --columns t,x,y,z,roll,pitch,yaw (radians; roll_deg: degrees)',
 }
 
 

@@ -1,0 +1,80 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""One answer for a whole drive, from two sensors that were measured apart, or a finding."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trajectory_calibration import calibrate
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.simulation import SCENARIOS, simulate
+
+RUN = simulate(replace(SCENARIOS['offroad'], duration=80.0), 5)
+AT = 0.5
+
+
+def found(a, b, code):
+    """Return the findings of a calibration with this code."""
+    return [finding for finding in calibrate(a, b).findings if finding.code == code]
+
+
+def changed(turn_deg=0.0, scale=1.0, *, slowly=False):
+    """Return b after its mount turned, or its scale changed: at once, or all along."""
+    share = np.linspace(0, 1, len(RUN.b))
+    share = share if slowly else (share > AT).astype(float)
+    poses = RUN.b.poses.copy()
+    poses[:, :3, :3] = poses[:, :3, :3] @ se3.exp_so3(
+        np.outer(share, [0.0, np.deg2rad(turn_deg), 0.0]))
+    steps = np.diff(poses[:, :3, 3], axis=0) * scale**share[1:, None]
+    poses[1:, :3, 3] = poses[0, :3, 3] + np.cumsum(steps, axis=0)
+    return replace(RUN.b, poses=poses)
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    ({'turn_deg': 2.0}, 'move on its mount'),
+    ({'turn_deg': 4.0, 'slowly': True}, 'move on its mount'),
+    ({'scale': 0.6}, 'begin anew with another scale'),
+    ({'scale': 0.8, 'slowly': True}, 'begin anew with another scale'),
+])
+def test_what_changes_on_the_way_is_named(change, words):
+    finding, = found(RUN.a, changed(**change), 'extrinsic-unsteady')
+    assert words in finding.text
+    assert finding.level == 'serious'
+    assert 0.3 < finding.values['at_s'] / 80.0 < 0.7
+    if not change.get('slowly'):
+        assert finding.values['at_s'] == pytest.approx(AT * 80.0, abs=80.0 / 12 + 2.0)
+        assert finding.values['turned_deg'] == pytest.approx(
+            change.get('turn_deg', 0.0), abs=0.3)
+
+
+@pytest.mark.parametrize('scenario', ['offroad', 'road', 'drone', 'handheld'])
+def test_sound_drives_have_no_such_finding(scenario):
+    for seed in range(3):
+        run = simulate(SCENARIOS[scenario], seed)
+        assert not found(run.a, run.b, 'extrinsic-unsteady')
+        assert not found(run.a, run.b, 'orientations-identical')
+
+
+def test_a_new_world_is_no_new_mount():
+    poses = RUN.b.poses.copy()
+    half = len(poses) // 2
+    poses[half:] = se3.inverse(poses[half]) @ poses[half:]
+    assert not found(RUN.a, replace(RUN.b, poses=poses), 'extrinsic-unsteady')
+
+
+def test_a_smoothed_copy_is_no_second_sensor():
+    poses = RUN.a.poses.copy()
+    for axis in range(3):
+        padded = np.pad(poses[:, axis, 3], 4, mode='edge')
+        poses[:, axis, 3] = np.convolve(padded, np.full(9, 1 / 9), 'valid')
+    finding, = found(RUN.a, replace(RUN.a, poses=poses, sensor_frame='copy'),
+                     'orientations-identical')
+    assert 'to the last digit' in finding.text
+
+
+@pytest.mark.parametrize('scenario', ['outliers', 'drift'])
+def test_simulated_jumps_and_drifts_without_noise_are_two_sensors(scenario):
+    run = simulate(SCENARIOS[scenario], 1)
+    assert not found(run.a, run.b, 'orientations-identical')
