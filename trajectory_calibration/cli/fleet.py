@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _require_own(folder: Path, jobs: Sequence[Job], *, force: bool) -> None:
     """Raise ConfigError where the folder holds more than an earlier part of the same run."""
-    own = {f'{job.name}-{job.fingerprint}.yaml' for job in jobs}
+    own = {job.file_name for job in jobs}
     found = {path.name for path in (folder / 'results').glob('*.yaml')}
     if found - own or not found:
         require_new([*(folder / name for name in FILES),

@@ -23,16 +23,19 @@ import numpy as np
 
 from trajectory_calibration.errors import counted, in_sigmas, ResultError
 from trajectory_calibration.fleet.differences import (
+    aligned_step,
     describe_step,
     Difference,
     difference,
     floored,
-    without_open_directions,
+    open_limits,
 )
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
+
+_Sums = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +73,6 @@ class Stretch:
     T_a_b: FloatArray
     covariance: FloatArray
 
-    def describe(self) -> str:
-        """Return the names: 'fleet0-7', or 'monday.mcap ... friday.mcap'."""
-        return span_of(self.names)
-
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -104,26 +103,29 @@ class Comparison:
     @property
     def probability(self) -> float:
         """Return the probability that answers of one truth scatter as much."""
-        return exceedance(self.chi_squared, max(self.degrees_of_freedom, 1))
+        return exceedance(self.chi_squared, self.degrees_of_freedom)
+
+    @property
+    def spans(self) -> list[tuple[str, str]]:
+        """Return the names before and after each change, in short."""
+        return list(pairwise(span_of(item.names) for item in self.stretches))
 
     def describe(self) -> list[str]:
         """Return the verdict, one sentence a line."""
-        answers = [entry for entry in self.entries if entry.result is not None]
-        ratio = f'chi2/dof {self.chi_squared / max(self.degrees_of_freedom, 1):.2g}'
-        lines = []
+        answers = sum(entry.result is not None for entry in self.entries)
+        ratio = f'chi2/dof {self.chi_squared / self.degrees_of_freedom:.2g}'
+        lines = [
+            f'CHANGED: {before} | {after}: {describe_step(change.step, change.named)} '
+            f'({in_sigmas(change.sigma)} sigma, '
+            f'chi2/dof {change.chi_squared / change.degrees_of_freedom:,.0f})'
+            for (before, after), change in zip(self.spans, self.changes, strict=True)]
         if not self.stretches:
             lines.append(
-                f'CONTRADICTION: the {len(answers)} answers scatter {self.noise_ratio:.1f} times '
+                f'CONTRADICTION: the {answers} answers scatter {self.noise_ratio:.1f} times '
                 f'as much as their deviations say ({ratio}), and no single change explains it. '
                 'Different vehicles, or wrong settings in some? No mean is formed')
-        for before, after, change in zip(
-                self.stretches, self.stretches[1:], self.changes, strict=False):
-            lines.append(
-                f'CHANGED: {before.describe()} | {after.describe()}: '
-                f'{describe_step(change.step, change.named)} ({in_sigmas(change.sigma)} sigma, '
-                f'chi2/dof {change.chi_squared / change.degrees_of_freedom:,.0f})')
         if len(self.stretches) == 1:
-            lines.append(f'AGREE: {len(answers)} answers are of one extrinsic ({ratio})')
+            lines.append(f'AGREE: {answers} answers are of one extrinsic ({ratio})')
         if self.stretches and self.noise_ratio > 1.5:
             lines.append(
                 f'deviations enlarged {self.noise_ratio:.1f} times: so much do neighbours scatter')
@@ -143,9 +145,8 @@ class Comparison:
             'probability': self.probability,
             'noise_ratio': self.noise_ratio,
             'changes': [
-                {'before': before.describe(), 'after': after.describe(), **change.to_dict()}
-                for before, after, change in zip(
-                    self.stretches, self.stretches[1:], self.changes, strict=False)],
+                {'before': before, 'after': after, **change.to_dict()}
+                for (before, after), change in zip(self.spans, self.changes, strict=True)],
             'stretches': [{
                 'names': list(item.names),
                 'translation_m': item.T_a_b[:3, 3].tolist(),
@@ -224,21 +225,22 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         raise ResultError('an answer has no covariance to compare with; calibrate again')
     config = results[0].config
     covariances = [floored(np.asarray(result.covariance)) for result in results]
-    base = results[int(np.argmin([_size(P) for P in covariances]))].T_a_b
-    steps = np.array([without_open_directions(base, result.T_a_b, P, config)[1]
+    # A radian counts as a metre here.
+    base = results[int(np.argmin([np.trace(P) for P in covariances]))].T_a_b
+    limits = open_limits(config)
+    steps = np.array([aligned_step(base, result.T_a_b, P, limits)[0]
                       for result, P in zip(results, covariances, strict=True)])
     noise_ratio = _noise_ratio(results, covariances)
-    information = np.linalg.inv(np.array(covariances)) / noise_ratio**2
-    sums = _Sums.of(steps, information)
+    sums = _running_sums(steps, np.linalg.inv(np.array(covariances)) / noise_ratio**2)
     # Half of what is stated: the other half goes to the single axes of each change.
     penalty = quantile(6, 0.5 * probability / (len(results) - 1))
     edges = _partition(sums, penalty)
-    chi_squared = sums.cost(0, len(results)) * noise_ratio**2
-    dof = sum(_known(P, config) for P in covariances) - 6
+    chi_squared = _mean(sums, 0, len(results))[2] * noise_ratio**2
+    dof = int(sum((np.sqrt(np.diagonal(P)) <= limits).sum() for P in covariances)) - 6
     names = [name for name, _ in answers]
     stretches = [
         Stretch(tuple(names[i:j]), se3.moved(base, mean), P)
-        for i, j in pairwise(edges) for mean, P in [sums.mean(i, j)]]
+        for i, j in pairwise(edges) for mean, P, _ in [_mean(sums, i, j)]]
     changes = tuple(
         difference((one.T_a_b, one.covariance), (two.T_a_b, two.covariance), config,
                    probability / (len(results) - 1))
@@ -264,18 +266,6 @@ def _each_recording_once(entries: Sequence[Entry]) -> list[Entry]:
     return kept
 
 
-def _size(covariance: FloatArray) -> float:
-    """Return the sum of a (6, 6) covariance's variances; a radian counts as a metre."""
-    return float(np.trace(covariance))
-
-
-def _known(covariance: FloatArray, config: Any) -> int:
-    """Return how many axes a (6, 6) covariance knows."""
-    limits = np.array([config.unobserved_translation] * 3
-                      + [np.deg2rad(config.unobserved_rotation)] * 3)
-    return int(np.count_nonzero(np.sqrt(np.diagonal(covariance)) <= limits))
-
-
 def _noise_ratio(
     results: Sequence[CalibrationResult], covariances: Sequence[FloatArray],
 ) -> float:
@@ -287,48 +277,38 @@ def _noise_ratio(
     if len(results) < 6:
         return 1.0
     ratios = []
-    for k in range(len(results) - 1):
-        step = difference((results[k].T_a_b, covariances[k]),
-                          (results[k + 1].T_a_b, covariances[k + 1]), results[0].config)
+    for one, two in pairwise(zip((result.T_a_b for result in results), covariances, strict=True)):
+        step = difference(one, two, results[0].config)
         ratios.append(step.chi_squared / quantile(step.degrees_of_freedom, 0.5))
     return float(np.sqrt(max(1.0, np.median(ratios))))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Running sums of information (N + 1, 6, 6), of it times steps, and of the squares."""
+def _running_sums(steps: FloatArray, information: FloatArray) -> _Sums:
+    """Return the sums of the first k of (N, 6, 6) information, of it times steps, of squares."""
+    weighted = np.einsum('kij,kj->ki', information, steps)
+    squares = np.einsum('ki,ki->k', weighted, steps)
+    one, two, three = (
+        np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
+        for each in (information, weighted, squares))
+    return one, two, three
 
-    information: FloatArray
-    weighted: FloatArray
-    squares: FloatArray
 
-    @classmethod
-    def of(cls, steps: FloatArray, information: FloatArray) -> _Sums:
-        weighted = np.einsum('kij,kj->ki', information, steps)
-        squares = np.einsum('ki,ki->k', weighted, steps)
-        return cls(*(np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
-                     for each in (information, weighted, squares)))
-
-    def mean(self, start: int, end: int) -> tuple[FloatArray, FloatArray]:
-        """Return the (6,) mean of the steps [start, end) and its (6, 6) covariance."""
-        P = np.linalg.inv(self.information[end] - self.information[start])
-        return P @ (self.weighted[end] - self.weighted[start]), 0.5 * (P + P.T)
-
-    def cost(self, start: int, end: int) -> float:
-        """Return chi-squared of the steps [start, end) about their mean."""
-        mean, _ = self.mean(start, end)
-        return max(0.0, float(self.squares[end] - self.squares[start]
-                              - mean @ (self.weighted[end] - self.weighted[start])))
+def _mean(sums: _Sums, start: int, end: int) -> tuple[FloatArray, FloatArray, float]:
+    """Return the (6,) mean of the steps [start, end), its covariance, and their chi-squared."""
+    information, weighted, squares = (each[end] - each[start] for each in sums)
+    P = np.linalg.inv(information)
+    mean = P @ weighted
+    return mean, 0.5 * (P + P.T), max(0.0, float(squares - mean @ weighted))
 
 
 def _partition(sums: _Sums, penalty: float) -> list[int]:
     """Return the edges of the stretches: 0, each change, the number of answers."""
-    count = len(sums.squares) - 1
+    count = len(sums[0]) - 1
     best = np.full(count + 1, np.inf)
     best[0] = -penalty
     last = np.zeros(count + 1, dtype=int)
     for end in range(1, count + 1):
-        costs = [best[start] + sums.cost(start, end) + penalty for start in range(end)]
+        costs = [best[start] + _mean(sums, start, end)[2] + penalty for start in range(end)]
         last[end] = int(np.argmin(costs))
         best[end] = costs[last[end]]
     edges = [count]

@@ -20,8 +20,8 @@ from trajectory_calibration.geometry.se3 import FloatArray
 # In the order of a covariance, as sentences need them.
 AXES = ('along x', 'along y', 'along z', 'about x', 'about y', 'about z')
 
-# Standard deviations below these are a prior that fixes a component: metres, radians.
-_LEAST = np.array([1e-6] * 3 + [1e-6] * 3)
+# A standard deviation below this is a prior that fixes a component: metres, radians.
+_LEAST = 1e-6
 
 # Where a rotation is open, the other axes turn with what it happens to be.
 _GAUGE_STEPS = 10
@@ -109,10 +109,10 @@ def difference(
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
     # The difference of two answers that are both just known is just known.
-    open_limit = np.sqrt(2.0) * _open_limit(config)
-    weak_limit = np.sqrt(2.0) * np.array(
-        [config.weak_translation] * 3 + [np.deg2rad(config.weak_rotation)] * 3)
-    _, step, closed, variances = _aligned(T_0, T_1, P, open_limit)
+    open_limit = np.sqrt(2.0) * open_limits(config)
+    weak_limit = np.sqrt(2.0) * np.repeat(
+        [config.weak_translation, np.deg2rad(config.weak_rotation)], 3)
+    step, closed, variances = aligned_step(T_0, T_1, P, open_limit)
     whitened = (closed @ (step / open_limit)) / np.sqrt(variances)
     chi_squared, dof = float(whitened @ whitened), len(variances)
     std = np.sqrt(np.diagonal(P))
@@ -128,51 +128,43 @@ def difference(
         (limit + _POWER) * std, differs, named)
 
 
-def without_open_directions(
-    T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, config: CalibrationConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Return a (4, 4) extrinsic as near to another as its open directions allow, and the step."""
-    T_1, step, _, _ = _aligned(T_0, T_1, covariance, _open_limit(config))
-    return T_1, step
+def open_limits(config: CalibrationConfig) -> FloatArray:
+    """Return (6,) standard deviations, metres and radians, beyond which a direction is open."""
+    return np.repeat([config.unobserved_translation, np.deg2rad(config.unobserved_rotation)], 3)
 
 
-def _open_limit(config: CalibrationConfig) -> FloatArray:
-    return np.array([config.unobserved_translation] * 3
-                    + [np.deg2rad(config.unobserved_rotation)] * 3)
-
-
-def _aligned(
-    T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, open_limit: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def aligned_step(
+    T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, limits: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Move T_1 along what its covariance leaves open until it is as near to T_0 as it gets.
 
     Returns
     -------
     tuple
-        T_1 (4, 4); the step to it (6,); rows (K, 6) of the known directions, orthonormal in
-        units of the limits; their variances (K,) in these units.
+        The step to it (6,); rows (K, 6) of the known directions, orthonormal in units of the
+        (6,) limits; their variances (K,) in these units.
 
     """
-    variances, vectors = np.linalg.eigh(covariance / np.outer(open_limit, open_limit))
+    variances, vectors = np.linalg.eigh(covariance / np.outer(limits, limits))
     known = variances <= 1.0
     open_, closed = vectors[:, ~known].T, vectors[:, known].T
     step = se3.step_between(T_0, T_1)
     for _ in range(_GAUGE_STEPS if len(open_) else 0):
-        free = open_limit * (open_.T @ (open_ @ (step / open_limit)))
-        if np.abs(free / open_limit).max() < 1e-9:
+        free = limits * (open_.T @ (open_ @ (step / limits)))
+        if np.abs(free / limits).max() < 1e-9:
             break
         T_1 = se3.moved(T_1, -free)
         step = se3.step_between(T_0, T_1)
-    return T_1, step, closed, variances[known]
+    return step, closed, variances[known]
 
 
 def floored(covariance: FloatArray) -> FloatArray:
     """Return a (6, 6) covariance that has an inverse, also where a prior fixes a component."""
-    return covariance + np.diag(_LEAST**2)
+    return covariance + _LEAST**2 * np.eye(6)
 
 
-def describe_step(step: FloatArray, axes: Iterable[int] = range(6)) -> str:
-    """Return a (6,) step in words, translations first."""
+def describe_step(step: FloatArray, axes: Iterable[int], sign: str = '+') -> str:
+    """Return a (6,) step in words, translations first; a length with the sign '-'."""
     return ', '.join(
-        f'{step[k]:+.3f} m {AXES[k]}' if k < 3 else f'{np.rad2deg(step[k]):+.2f} deg {AXES[k]}'
-        for k in sorted(axes))
+        f'{step[k]:{sign}.3f} m {AXES[k]}' if k < 3 else
+        f'{np.rad2deg(step[k]):{sign}.2f} deg {AXES[k]}' for k in sorted(axes))

@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import starmap
 import os
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from trajectory_calibration.errors import ConfigError
 
@@ -68,36 +70,32 @@ class Executor:
             The backend is not installed, or its cluster cannot be reached.
 
         """
-        yield from self._run(function, items, 'generator')
+        return self._run('generator', function, ((item,) for item in items))
 
     def unordered(
-        self, function: Callable[[_Item], _Result], items: Iterable[_Item],
+        self, function: Callable[[_Item], _Result], items: Sequence[_Item],
     ) -> Iterator[tuple[int, _Result]]:
         """Yield the number of each item and its result, whichever is done first; see ``map``."""
-        numbered = list(enumerate(items))
         # A cluster or a pool of processes takes longer to start than there is to do.
-        if numbered:
-            yield from self._run(_Numbered(function), numbered, 'generator_unordered')
+        return iter(()) if not items else self._run(
+            'generator_unordered', _numbered, ((function, *each) for each in enumerate(items)))
 
     def _run(
-        self, function: Callable[[_Item], _Result], items: Iterable[_Item], kind: str,
+        self, kind: str, function: Callable[..., _Result], arguments: Iterable[tuple[Any, ...]],
     ) -> Iterator[_Result]:
-        joblib = _load('joblib', 'fleet')
-        calls = (joblib.delayed(function)(item) for item in items)
-        if self.backend == 'dask':
-            with self._connect():
-                with joblib.parallel_config(backend='dask'):
-                    parallel = joblib.Parallel(return_as=kind)
-                yield from parallel(calls)
-            return
+        joblib = _load('joblib')
         # One thread each: the linear algebra here is too small to share.
-        with joblib.parallel_config(
-                backend='loky', n_jobs=self.processes, inner_max_num_threads=1):
-            parallel = joblib.Parallel(return_as=kind)
-        yield from parallel(calls)
+        settings = {'backend': 'dask'} if self.backend == 'dask' else {
+            'backend': 'loky', 'n_jobs': self.processes, 'inner_max_num_threads': 1}
+        with self._cluster():
+            with joblib.parallel_config(**settings):
+                parallel = joblib.Parallel(return_as=kind)
+            yield from parallel(starmap(joblib.delayed(function), arguments))
 
-    def _connect(self) -> Any:
-        distributed = _load('distributed', 'fleet')
+    def _cluster(self) -> AbstractContextManager[Any]:
+        if self.backend != 'dask':
+            return nullcontext()
+        distributed = _load('distributed')
         if self.scheduler is None:
             return distributed.Client(
                 n_workers=self.processes, threads_per_worker=1, dashboard_address=None)
@@ -108,20 +106,14 @@ class Executor:
                 f'no Dask scheduler answers at {self.scheduler}: {error}') from error
 
 
-@dataclass(frozen=True)
-class _Numbered(Generic[_Item, _Result]):
-    """A function of numbered items that keeps the numbers."""
-
-    function: Callable[[_Item], _Result]
-
-    def __call__(self, item: tuple[int, _Item]) -> tuple[int, _Result]:
-        return item[0], self.function(item[1])
+def _numbered(function: Callable[[_Item], _Result], number: int, item: _Item) -> tuple[
+        int, _Result]:
+    return number, function(item)
 
 
-def _load(module: str, extra: str) -> Any:
+def _load(module: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
         raise ConfigError(
-            f"{module} is not installed; pip install 'trajectory_calibration[{extra}]'"
-        ) from error
+            f"{module} is not installed; pip install 'trajectory_calibration[fleet]'") from error

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 import glob
 import hashlib
+from itertools import chain
 import json
 from pathlib import Path
 import re
@@ -70,6 +71,11 @@ class Job:
         said = json.dumps([asdict(self), stats, __version__], default=str, sort_keys=True)
         return hashlib.sha256(said.encode()).hexdigest()[:8]
 
+    @property
+    def file_name(self) -> str:
+        """Return the name of the file of its result."""
+        return f'{self.name}-{self.fingerprint}.yaml'
+
 
 def read_jobs(
     specifications: Sequence[str], a: str | None, b: str | None, config: CalibrationConfig,
@@ -100,12 +106,11 @@ def read_jobs(
         jobs = [_from_path(path, a, b, config) for path in paths]
     if not jobs:
         raise ConfigError(f'no bags match {" ".join(specifications)}')
-    jobs = _named(jobs)
-    names = [job.name for job in jobs]
-    if len({*names}) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ConfigError(f'two jobs are named {twice}; give each a name of its own')
-    return jobs
+    names = _names(jobs)
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f'two jobs are named {name}; give each a name of its own')
+    return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
 
 
 def _expand(pattern: str) -> list[str]:
@@ -122,14 +127,11 @@ def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfi
     if a == b:
         raise ConfigError(f'A and B are both {a}; needed two sensors')
     folder = Path(path)
-    if folder.is_dir() and not _holds_bag(folder):
+    if folder.is_dir() and not any(
+            item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
+            for item in folder.iterdir()):
         return Job('', str(folder / a), str(folder / b), (), config)
     return Job('', a, b, (path,), config)
-
-
-def _holds_bag(folder: Path) -> bool:
-    return any(item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
-               for item in folder.iterdir())
 
 
 def _from_yaml(
@@ -170,9 +172,8 @@ def _check(given: Mapping[Any, Any], path: Path) -> None:
 
 def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     bags = given.get('bag') or []
-    bags = [bags] if isinstance(bags, str) else bags
-    bags = [str(folder / bag) for bag in bags if bag]
-    a, b = (None if given.get(key) is None else str(given[key]) for key in 'ab')
+    bags = [str(folder / bag) for bag in ([bags] if isinstance(bags, str) else bags) if bag]
+    a, b = given['a'], given['b']
     if a is None or b is None:
         raise ConfigError(f'job {bags or dict(given)}: a and b are not named')
     if a == b:
@@ -182,16 +183,13 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     options = [InputOptions(**{
         option: folder / value if option == 'times' else value for option in _OPTIONS
         if (value := given.get(f'{option}_{sensor}')) is not None}) for sensor in 'ab']
-    return Job(str(given.get('name') or ''), a, b, tuple(bags), given['config'], *options)
+    return Job(given.get('name') or '', a, b, tuple(bags), given['config'], *options)
 
 
-def _named(jobs: Sequence[Job]) -> list[Job]:
-    """Return the jobs with names for files, where none is given those that tell them apart."""
-    unnamed = [job.bags[0] if job.bags else job.a for job in jobs if not job.name]
-    short = iter(short_names(unnamed))
-    names = [job.name or next(short) for job in jobs]
-    return [replace(job, name=re.sub(r'[^\w.+-]', '_', name.strip('/')))
-            for job, name in zip(jobs, names, strict=True)]
+def _names(jobs: Sequence[Job]) -> list[str]:
+    """Return names for files; of the jobs without one, those that tell them apart."""
+    short = iter(short_names([job.bags[0] if job.bags else job.a for job in jobs if not job.name]))
+    return [re.sub(r'[^\w.+-]', '_', (job.name or next(short)).strip('/')) for job in jobs]
 
 
 def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
@@ -200,11 +198,10 @@ def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
     try:
         a, b = load_inputs(inputs, job.bags).values()
         return calibrate(a, b, job.config).to_dict(), ''
-    except CalibrationError as error:
-        return None, ' '.join(str(error).split())
     except Exception as error:  # noqa: BLE001
         # One broken bag of many must not end the others, whatever breaks in its reader.
-        return None, f'{type(error).__name__}: {" ".join(str(error).split())}'
+        kind = '' if isinstance(error, CalibrationError) else f'{type(error).__name__}: '
+        return None, kind + ' '.join(str(error).split())
 
 
 def run_jobs(
@@ -213,8 +210,8 @@ def run_jobs(
 ) -> Iterator[Entry]:
     """Calibrate what has no result in the folder yet; yield every job as it is done.
 
-    Each result is a file ``NAME-FINGERPRINT.yaml``, written as soon as it is there. Jobs without
-    an answer are tried again the next time.
+    Each result is a file ``Job.file_name``, written as soon as it is there. Jobs without an
+    answer are tried again the next time.
 
     Raises
     ------
@@ -223,47 +220,32 @@ def run_jobs(
 
     """
     make_folder(folder, ResultError)
-    waiting: list[Job] = []
-    done = 0
-    for job in jobs:
-        found = _finished(folder, job)
-        if found is None:
-            waiting.append(job)
-            continue
-        done += 1
-        if progress is not None:
-            progress(done, len(jobs))
-        yield Entry(job.name, found)
-    for k, (data, reason) in executor.unordered(calibrate_job, waiting):
-        job = waiting[k]
-        entry = Entry(job.name, None, reason)
-        if data is not None:
-            _forget(folder, job.name)
-            write_yaml(_file(folder, job), data)
-            entry = Entry(job.name, CalibrationResult.from_dict(data))
-        done += 1
+    saved = [Entry(job.name, _saved(folder / job.file_name)) for job in jobs]
+    waiting = [job for job, entry in zip(jobs, saved, strict=True) if entry.result is None]
+    entries = chain((entry for entry in saved if entry.result is not None),
+                    _calibrated(waiting, folder, executor))
+    for done, entry in enumerate(entries, 1):
         if progress is not None:
             progress(done, len(jobs))
         yield entry
 
 
-def _file(folder: Path, job: Job) -> Path:
-    return folder / f'{job.name}-{job.fingerprint}.yaml'
-
-
-def _finished(folder: Path, job: Job) -> CalibrationResult | None:
-    path = _file(folder, job)
-    if not path.exists():
-        return None
+def _saved(path: Path) -> CalibrationResult | None:
     try:
         return CalibrationResult.load(path)
     except ResultError:
-        # Spoilt, or of another version: made again.
+        # Not there yet, spoilt, or of another version.
         return None
 
 
-def _forget(folder: Path, name: str) -> None:
-    """Remove results of the same job with other settings or inputs."""
-    for path in folder.iterdir():
-        if re.fullmatch(rf'{re.escape(name)}-[0-9a-f]{{8}}\.yaml', path.name):
+def _calibrated(jobs: Sequence[Job], folder: Path, executor: Executor) -> Iterator[Entry]:
+    for k, (data, reason) in executor.unordered(calibrate_job, jobs):
+        name = jobs[k].name
+        if data is None:
+            yield Entry(name, None, reason)
+            continue
+        # Of the same job with other settings or inputs.
+        for path in folder.glob(f'{name}-{"[0-9a-f]" * 8}.yaml'):
             path.unlink()
+        write_yaml(folder / jobs[k].file_name, data)
+        yield Entry(name, CalibrationResult.from_dict(data))

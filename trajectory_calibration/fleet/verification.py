@@ -16,16 +16,16 @@ from trajectory_calibration.assessment.observability import (
 )
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
-from trajectory_calibration.errors import (
-    AssociationError,
-    CalibrationError,
-    MotionError,
-    ResultError,
-    SolverError,
+from trajectory_calibration.errors import AssociationError, MotionError, ResultError, SolverError
+from trajectory_calibration.fleet.differences import (
+    AXES,
+    describe_step,
+    Difference,
+    difference,
 )
-from trajectory_calibration.fleet.differences import AXES, Difference, difference
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -81,34 +81,29 @@ class Verification:
         found = self.difference
         if self.verdict == MOVED and found is not None:
             return f'moved by {found.describe()}'
-        held = [name for name, status in self.status.items() if status == HOLDS]
+        held, open_, unknown = (
+            [name for name, status in self.status.items() if status == each]
+            for each in (HOLDS, CANNOT_TELL, NOT_KNOWN))
         if self.verdict == CANNOT_TELL:
-            open_ = [name for name, status in self.status.items() if status == CANNOT_TELL]
             rest = f'; {", ".join(held)} hold' if held else ''
             return f'cannot tell {", ".join(open_)} (needs: {self.needs}){rest}'
-        words = HOLDS
-        if found is not None:
-            weak = [k for k, name in enumerate(DEGREES_OF_FREEDOM)
-                    if found.weak[k] and self.status[name] == HOLDS]
-            if weak:
-                words += f', weakly tested {", ".join(AXES[k] for k in weak)}'
-        unknown = [name for name, status in self.status.items() if status == NOT_KNOWN]
+        words = f'holds in {len(held)} of 6 directions' if unknown else HOLDS
+        weak = [] if found is None else [
+            axis for axis, name, is_weak in zip(AXES, DEGREES_OF_FREEDOM, found.weak, strict=True)
+            if is_weak and name in held]
+        if weak:
+            words += f', weakly tested {", ".join(weak)}'
         if unknown:
-            words = (f'{words.replace(HOLDS, f"holds in {len(held)} of 6 directions", 1)}; '
-                     f'not tested: {", ".join(unknown)} (not in the saved result)')
+            words += f'; not tested: {", ".join(unknown)} (not in the saved result)'
         return words
 
     def describe_resolution(self) -> str:
         """Return the smallest shift that would have been noticed, axis by axis."""
         if self.difference is None:
             return ''
-        words = []
-        for k, name in enumerate(DEGREES_OF_FREEDOM):
-            if self.difference.testable[k] and self.status[name] != NOT_KNOWN:
-                value = self.difference.resolution[k]
-                words.append(f'{value:.3f} m {AXES[k]}' if k < 3
-                             else f'{np.rad2deg(value):.2f} deg {AXES[k]}')
-        return ', '.join(words)
+        return describe_step(self.difference.resolution, [
+            k for k, name in enumerate(DEGREES_OF_FREEDOM)
+            if self.difference.testable[k] and self.status[name] != NOT_KNOWN], sign='-')
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -169,23 +164,23 @@ def verify(
     if frames == (result.frame_b, result.frame_a) and frames[0] != frames[1]:
         raise ResultError(f'the data are of {frames[0]} and {frames[1]}, the saved result of '
                           f'{result.frame_a} and {result.frame_b}; exchange A and B')
-    notes = [] if frames == (result.frame_a, result.frame_b) else [
-        f'data of {" and ".join(frames)}, saved result of {result.frame_a} and {result.frame_b}']
+    notes = () if frames == (result.frame_a, result.frame_b) else (
+        f'data of {" and ".join(frames)}, saved result of {result.frame_a} and {result.frame_b}',)
     if result.recording == recording_of(trajectory_a, trajectory_b):
-        return _without_answer(result, ResultError(
-            'another recording: the saved result was made of this one'), notes)
+        return _without_answer(
+            result, 'another recording: the saved result was made of this one', notes)
     config = replace(
         config or result.config, prior_translation='', prior_translation_std='',
         prior_rotation='', prior_rotation_std='', allow_unobserved=True)
     try:
         found = calibrate(trajectory_a, trajectory_b, config)
     except (AssociationError, MotionError, SolverError) as error:
-        return _without_answer(result, error, notes)
+        return _without_answer(result, str(error), notes)
     if found.covariance is None:
-        return _without_answer(result, ResultError('the solver gave no covariance'), notes)
-    step = difference((result.T_a_b, result.covariance), (found.T_a_b, found.covariance),
-                      config, probability)
-    if step.differs and _is_exchanged(result, found, config):
+        return _without_answer(result, 'the solver gave no covariance', notes)
+    old, new = (result.T_a_b, result.covariance), (found.T_a_b, found.covariance)
+    step = difference(old, new, config, probability)
+    if step.differs and _is_inverse(old, new, config):
         raise ResultError(
             'are A and B exchanged? The new answer is the inverse of the saved one. Give first '
             f'the trajectory of {result.frame_a}, then that of {result.frame_b}')
@@ -197,32 +192,29 @@ def verify(
             status[name] = NOT_KNOWN
         else:
             status[name] = HOLDS if step.testable[k] else CANNOT_TELL
-    verdict = (MOVED if step.differs
-               # Where the saved result knows nothing, nothing holds.
-               else HOLDS if {*status.values()} <= {HOLDS, NOT_KNOWN} and HOLDS in status.values()
-               else CANNOT_TELL)
+    # Where the saved result knows nothing, nothing holds.
+    verdict = (MOVED if step.differs else
+               HOLDS if {*status.values()} - {NOT_KNOWN} == {HOLDS} else CANNOT_TELL)
     needs = '' if verdict != CANNOT_TELL else _needs(found.observability)
-    return Verification(verdict, status, step, needs, found, tuple(notes))
+    return Verification(verdict, status, step, needs, found, notes)
 
 
-def _is_exchanged(
-    saved: CalibrationResult, found: CalibrationResult, config: CalibrationConfig,
+def _is_inverse(
+    old: tuple[FloatArray, FloatArray], new: tuple[FloatArray, FloatArray],
+    config: CalibrationConfig,
 ) -> bool:
-    """Tell whether the inverse of the saved extrinsic fits, in directions enough to say so."""
-    if found.covariance is None or saved.covariance is None:
-        return False
-    J = se3.inverse_step(saved.T_a_b)
-    step = difference((se3.inverse(saved.T_a_b), J @ saved.covariance @ J.T),
-                      (found.T_a_b, found.covariance), config)
+    """Tell whether the inverse of the old extrinsic fits, in directions enough to say so."""
+    J = se3.inverse_step(old[0])
+    step = difference((se3.inverse(old[0]), J @ old[1] @ J.T), new, config)
     return step.degrees_of_freedom >= _FEWEST_DIRECTIONS and not step.differs
 
 
 def _without_answer(
-    result: CalibrationResult, error: CalibrationError, notes: list[str],
+    result: CalibrationResult, needs: str, notes: tuple[str, ...],
 ) -> Verification:
     status = {name: NOT_KNOWN if known == UNOBSERVED else CANNOT_TELL
               for name, known in result.observability.status.items()}
-    return Verification(CANNOT_TELL, status, None, str(error), None, tuple(notes))
+    return Verification(CANNOT_TELL, status, None, needs, None, notes)
 
 
 def _needs(observability: Observability) -> str:
