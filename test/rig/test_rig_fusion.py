@@ -2,14 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """One consistent rig from pairs whose noise is shared."""
 
+from functools import partial
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from trajectory_calibration.config.prior import parse_prior
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.rig.fusion import fuse, fuse_numbers, pair_jacobian, spanning_start
+from trajectory_calibration.rig import fusion
+from trajectory_calibration.rig.fusion import fuse_numbers, pair_jacobian, spanning_start
+from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,
     carried_to_stated,
@@ -18,6 +22,8 @@ from trajectory_calibration.rig.shared_noise import (
     with_own_share,
 )
 from trajectory_calibration.simulation.scenario import random_pose
+
+fuse = partial(fusion.fuse, limits=limits_of(CalibrationConfig()))
 
 
 def rig(sensors, rng):

@@ -223,7 +223,7 @@ def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool
     return bool(np.sum(other_a * other_b) <= _SHARED * both)
 
 
-def _judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
+def judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
     """Return the status of a standard deviation, metres or degrees."""
     weak, unobserved = (
         (config.weak_rotation, config.unobserved_rotation) if rotation else
@@ -241,7 +241,7 @@ def _pointed(axes: FloatArray) -> FloatArray:
     return pointed
 
 
-def _deviations(covariance: FloatArray) -> FloatArray:
+def deviations_of(covariance: FloatArray) -> FloatArray:
     """Return (6,) standard deviations, metres and degrees."""
     std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return np.concatenate([std[:3], np.rad2deg(std[3:])])
@@ -250,14 +250,14 @@ def _deviations(covariance: FloatArray) -> FloatArray:
 def _status(
     by_motion: FloatArray, covariance: FloatArray, config: CalibrationConfig,
 ) -> dict[str, str]:
-    before, after = _deviations(by_motion), _deviations(covariance)
+    before, after = deviations_of(by_motion), deviations_of(covariance)
     given = np.isfinite(config.prior.std)
     status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
-        status[name] = _judge(config, after[k], rotation=k >= 3)
+        status[name] = judge(config, after[k], rotation=k >= 3)
         # A prior of one component helps others through their correlation: those count as known
         # beforehand only if the motion alone left them open.
-        open_before = given[k] or _judge(config, before[k], rotation=k >= 3) != OBSERVED
+        open_before = given[k] or judge(config, before[k], rotation=k >= 3) != OBSERVED
         dominated = after[k]**2 < _DOMINATED * before[k]**2
         if dominated and open_before and status[name] != UNOBSERVED:
             status[name] = PRIOR
@@ -272,7 +272,7 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
         for variance, axis in zip(variances[::-1], _pointed(axes.T)[::-1], strict=True):
             std = float(np.sqrt(max(variance, 0.0)))
             std = float(np.rad2deg(std)) if rotation else std
-            status = _judge(config, std, rotation=rotation)
+            status = judge(config, std, rotation=rotation)
             if status != OBSERVED:
                 found.append(WeakAxis(kind, tuple(axis.tolist()), std, status))
     return tuple(found)

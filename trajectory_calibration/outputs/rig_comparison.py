@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.comparison import Change, RigComparison
-from trajectory_calibration.rig.result import COMPONENTS
 
 
 def format_comparison(found: RigComparison) -> str:
@@ -72,7 +72,7 @@ def _length(values: FloatArray) -> float:
 
 
 def _open(item: Change) -> str:
-    names = [name for name, std in zip(COMPONENTS, item.std, strict=True) if np.isnan(std)]
+    names = [name for name, std in zip(DEGREES_OF_FREEDOM, item.std, strict=True) if np.isnan(std)]
     return f' ({", ".join(names)} not compared)' if names else ''
 
 

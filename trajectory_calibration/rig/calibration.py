@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,11 +27,11 @@ from trajectory_calibration.rig.doubts import (
 )
 from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import (
-    answer_of,
     calibrate_pairs,
     connected,
     PairAnswer,
     PairFailure,
+    sorted_out,
 )
 from trajectory_calibration.rig.result import (
     Contradiction,
@@ -41,7 +41,7 @@ from trajectory_calibration.rig.result import (
     SensorAnswer,
 )
 from trajectory_calibration.rig.settings import RigConfig
-from trajectory_calibration.rig.tree import build_tree, log_scale_std_of, offset_std_of, Pair
+from trajectory_calibration.rig.tree import build_tree, log_scale_std_of, offset_std_of
 
 # The finding of each kind of contradiction.
 _CODES = {
@@ -85,12 +85,22 @@ def calibrate_rig(
 
     """
     config = config or RigConfig()
-    base = _validated(trajectories, config)
-    if len(trajectories) == 2:
-        return _of_two(trajectories, base, config)
-    answers, failures = calibrate_pairs(trajectories, base, config)
-    return _of_answers(answers, failures, [base, *(name for name in trajectories if name != base)],
-                       trajectories, config)
+    if len(trajectories) < 2:
+        raise ConfigError(f'{len(trajectories)} sensors were given, needed two or more')
+    for name, trajectory in trajectories.items():
+        if not isinstance(trajectory, Trajectory):
+            raise TrajectoryError(
+                f'sensor {name} is of type {type(trajectory).__name__}, needed a Trajectory')
+    names = _base_first(trajectories, config)
+    metric = [name for name in trajectories if config.of(name).scale != 'free']
+    if metric and names[0] not in metric:
+        raise ConfigError(
+            f'the base {names[0]} has scale free, so that the rig would have no metres; choose '
+            f'another base, such as {metric[0]}')
+    if len(names) == 2:
+        return _of_two(names[0], names[1], trajectories, config)
+    answers, failures = calibrate_pairs(trajectories, names[0], config)
+    return _of_answers(answers, failures, names, trajectories, config)
 
 
 def fuse_results(
@@ -110,56 +120,32 @@ def fuse_results(
     config = config or RigConfig()
     if not results:
         raise ConfigError('no results were given, needed one of each pair')
-    names: list[str] = []
-    seen: set[frozenset[str]] = set()
-    for result in results:
-        ends = frozenset((result.frame_a, result.frame_b))
-        if len(ends) < 2:
-            raise ConfigError(f'a result has the frame {result.frame_a} twice; name the frames '
-                              'of both sensors')
-        if ends in seen:
-            raise ConfigError(f'two results hold {result.frame_a} and {result.frame_b}; needed '
-                              'one of each pair')
-        seen.add(ends)
-        names += [name for name in (result.frame_a, result.frame_b) if name not in names]
-    base = config.base or names[0]
-    _require_names(config, names)
-    found = [answer_of(result.frame_a, result.frame_b, result) for result in results]
-    answers = [pair for pair in found if isinstance(pair, PairAnswer)]
-    failures = [pair for pair in found if isinstance(pair, PairFailure)]
-    ordered = [base, *(name for name in names if name != base)]
-    return _of_answers(answers, failures, ordered, {}, config)
+    ends = [(result.frame_a, result.frame_b) for result in results]
+    pairs = list(map(frozenset, ends))
+    for (a, b), pair in zip(ends, pairs, strict=True):
+        if a == b:
+            raise ConfigError(f'a result has the frame {a} twice; name the frames of both sensors')
+        if pairs.count(pair) > 1:
+            raise ConfigError(f'two results hold {a} and {b}; needed one of each pair')
+    names = _base_first(dict.fromkeys(name for pair in ends for name in pair), config)
+    answers, failures = sorted_out(
+        PairAnswer(result.frame_a, result.frame_b, result) for result in results)
+    return _of_answers(answers, failures, names, {}, config)
 
 
-def _validated(trajectories: Mapping[str, Trajectory], config: RigConfig) -> str:
-    """Return the name of the base."""
-    if len(trajectories) < 2:
-        raise ConfigError(f'{len(trajectories)} sensors were given, needed two or more')
-    for name, trajectory in trajectories.items():
-        if not isinstance(trajectory, Trajectory):
-            raise TrajectoryError(
-                f'sensor {name} is of type {type(trajectory).__name__}, needed a Trajectory')
-    _require_names(config, list(trajectories))
-    base = config.base or next(iter(trajectories))
-    metric = [name for name in trajectories if config.of(name).scale != 'free']
-    if metric and base not in metric:
-        raise ConfigError(
-            f'the base {base} has scale free, so that the rig would have no metres; choose '
-            f'another base, such as {metric[0]}')
-    return base
-
-
-def _require_names(config: RigConfig, names: Sequence[str]) -> None:
-    for name in (*config.sensors, *([config.base] if config.base else [])):
+def _base_first(given: Iterable[str], config: RigConfig) -> list[str]:
+    """Return the names of the sensors; raise ConfigError where the settings have others."""
+    names = list(given)
+    for name in (*config.sensors, config.base or names[0]):
         if name not in names:
             raise ConfigError(f'sensor {name!r} is unknown; known are {", ".join(names)}')
+    return sorted(names, key=lambda name: name != (config.base or names[0]))
 
 
 def _of_two(
-    trajectories: Mapping[str, Trajectory], base: str, config: RigConfig,
+    base: str, other: str, trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the answer of ``calibrate`` as a rig."""
-    other = next(name for name in trajectories if name != base)
     settings = config.of(other)
     calibration = replace(
         config.calibration, prior_translation=settings.prior_translation,
@@ -176,7 +162,7 @@ def _of_two(
         base: _answer(base, base, np.eye(4), np.zeros((6, 6)), config, trajectories),
         other: replace(
             _answer(other, base, result.T_a_b, covariance, config, trajectories),
-            status=_status_of(result, covariance, config), scale=result.scale,
+            status=dict(result.observability.status), scale=result.scale,
             scale_std=result.scale * log_scale_std_of(result),
             clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
                         offset_std_of(result)))}
@@ -200,37 +186,28 @@ def _of_answers(
                             for pair in failures[:3])
         raise CalibrationError(f'no two of {len(names)} sensors gave an answer: {reasons}')
     groups = connected(names, solved)
-    sensors: dict[str, SensorAnswer] = {}
-    blocks: list[FloatArray] = []
-    free: list[str] = []
-    reports: dict[tuple[str, str], PairReport] = {
-        (pair.parent, pair.child): PairReport(pair.parent, pair.child, pair.reason, used=False)
-        for pair in failures}
-    contradictions = unconnected(groups, failures)
-    of_groups: list[Finding] = []
-    chi_squared, degrees = 0.0, 0
-    for group in groups:
-        if len(group) == 1:
-            continue
-        of_group = [answer for answer in solved if answer.parent in group]
-        part = _solve_group(group, of_group, trajectories, config)
-        sensors.update(part.sensors)
-        blocks.append(part.covariance)
-        free += part.free
-        contradictions += part.contradictions
-        of_groups += part.findings
-        reports.update({(pair.parent, pair.child): pair for pair in part.pairs})
-        chi_squared += part.chi_squared
-        degrees += part.degrees
-    ordered = {name: sensors[name] for name in names if name in sensors}
+    parts = [
+        _solve_group(group, [pair for pair in solved if pair.parent in group], trajectories,
+                     config)
+        for group in groups if len(group) > 1]
+    sensors = {name: part.sensors[name]
+               for name in names for part in parts if name in part.sensors}
+    contradictions = [*unconnected(groups, failures),
+                      *(item for part in parts for item in part.contradictions)]
+    chi_squared, degrees = (sum(part.chi_squared for part in parts),
+                            sum(part.degrees for part in parts))
     p_value = probability(chi_squared, degrees)
+    of_parts = [found for part in parts for found in part.findings]
     return RigResult(
-        base=names[0] if names[0] in sensors else next(iter(ordered.values())).base,
-        sensors=ordered, covariance=_block_diagonal(blocks), free=tuple(free),
-        pairs=tuple(reports.values()), contradictions=tuple(contradictions),
-        chi_squared=chi_squared, degrees=degrees, p_value=p_value,
+        base=next(iter(sensors.values())).base, sensors=sensors,
+        covariance=_block_diagonal([part.covariance for part in parts]),
+        free=tuple(name for part in parts for name in part.free),
+        pairs=(*(PairReport(pair.parent, pair.child, pair.reason, used=False)
+                 for pair in failures), *(pair for part in parts for pair in part.pairs)),
+        contradictions=tuple(contradictions), chi_squared=chi_squared, degrees=degrees,
+        p_value=p_value,
         findings=worst_first((
-            *_findings(ordered, groups, contradictions, p_value), *of_groups[:1],
+            *_findings(sensors, groups, contradictions, p_value), *of_parts[:1],
             *_of_pairs(solved))),
         config=config)
 
@@ -240,24 +217,19 @@ def _solve_group(
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the rig of sensors that are connected."""
-    number = {name: k for k, name in enumerate(group)}
-    pairs = [Pair(number[answer.parent], number[answer.child], answer.result, answer.covariance)
-             for answer in answers]
     tree = build_tree(
-        group, pairs, trajectories, [config.of(name).scale == 'free' for name in group],
+        group, answers, trajectories, [config.of(name).scale == 'free' for name in group],
         config.calibration)
-    priors = {number[name]: config.of(name).prior for name in group[1:]
-              if config.of(name).prior.given}
+    priors = {k: prior for k, name in enumerate(group)
+              if k and (prior := config.of(name).prior).given}
     doubted, contradictions = doubt(tree)
     without = tree.fuse(doubted=doubted)
     contradictions += against_priors(tree, without, priors)
     fused = tree.fuse(priors, doubted) if priors else without
     contradictions += other_clocks(tree)
-    left_out = {k for k in doubted if k} if config.leave_out_contradicting else set()
-    contradictions = [
-        replace(item, left_out=number[item.sensor] in left_out) for item in contradictions]
-    kept = [k for k in range(1, len(group)) if k not in left_out]
-    rows = np.concatenate([np.arange(6 * k - 6, 6 * k) for k in kept] or [np.zeros(0, int)])
+    left_out = {group[k] for k in doubted if k} if config.leave_out_contradicting else set()
+    kept = [k for k, name in enumerate(group) if k and name not in left_out]
+    rows = [row for k in kept for row in range(6 * k - 6, 6 * k)]
     sensors = {}
     for k in (0, *kept):
         answer = _answer(
@@ -268,22 +240,22 @@ def _solve_group(
             status={name: 'prior' if by_motion[name] == 'unobserved' != status else status
                     for name, status in answer.status.items()},
             scale=float(tree.scales[k]), scale_std=float(tree.scale_stds[k]),
-            clock=tree.clocks[k],
-            noise=tree.sensor_noise[k] if tree.sensor_noise else None)
+            clock=tree.clocks[k], noise=tree.sensor_noise[k])
     reports = tuple(
         PairReport(
-            group[pair.parent], group[pair.child], residual=fused.residuals[p],
+            pair.parent, pair.child, residual=fused.residuals[p],
             std=np.sqrt(np.diagonal(tree.C[p, :, p])),
             chi_squared=float(fused.pair_chi_squared[p]), degrees=int(fused.pair_degrees[p]),
-            poses=pair.result.poses,
-            used=not doubted & {pair.parent, pair.child})
-        for p, pair in enumerate(pairs))
+            poses=pair.result.poses, used=not doubted & {*tree.ends[p]})
+        for p, pair in enumerate(answers))
     return RigResult(
         base=group[0], sensors=sensors, covariance=fused.covariance[np.ix_(rows, rows)],
-        free=tuple(group[k] for k in kept), pairs=reports, contradictions=tuple(contradictions),
+        free=tuple(group[k] for k in kept), pairs=reports,
+        contradictions=tuple(
+            replace(item, left_out=item.sensor in left_out) for item in contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
         p_value=probability(without.chi_squared, without.degrees),
-        findings=(_ASSUMED,) if tree.noise is None and len(pairs) > 1 else (), config=config)
+        findings=(_ASSUMED,) if tree.noise is None and len(answers) > 1 else (), config=config)
 
 
 def _answer(
@@ -296,13 +268,6 @@ def _answer(
         name=name, frame=frame, base=base, T_base_sensor=X, covariance=covariance,
         status=judged(covariance, config.calibration),
         poses=0 if trajectory is None else len(trajectory))
-
-
-def _status_of(
-    result: CalibrationResult, covariance: FloatArray, config: RigConfig,
-) -> dict[str, str]:
-    """Return the status that ``calibrate`` gave, with the words of a rig."""
-    return {**judged(covariance, config.calibration), **dict(result.observability.status)}
 
 
 def _findings(
@@ -345,10 +310,9 @@ def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
 
 
 def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    size = sum(len(block) for block in blocks)
-    result, start = np.zeros((size, size)), 0
-    for block in blocks:
-        end = start + len(block)
-        result[start:end, start:end] = block
-        start = end
+    ends = np.cumsum([len(block) for block in blocks])
+    result = np.zeros((ends[-1], ends[-1]))
+    for block, end in zip(blocks, ends, strict=True):
+        part = slice(end - len(block), end)
+        result[part, part] = block
     return result

@@ -14,7 +14,7 @@ from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.contradictions import describe_step
 from trajectory_calibration.rig.observed import limits_of, misfit, probability, whitener
-from trajectory_calibration.rig.result import RigResult
+from trajectory_calibration.rig.result import RigResult, twist_rows
 from trajectory_calibration.rig.shared_noise import twist_to_step
 
 
@@ -105,23 +105,20 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         raise ResultError(
             f'the rigs have {", ".join(old.sensors)} and {", ".join(new.sensors)}, needed the '
             f'base {base} and one more sensor in both')
-    shift = np.concatenate([
-        _twist_between(old.transform(base, name), new.transform(base, name))
-        for name in others])
-    V = _twist_covariance(old, base, others) + _twist_covariance(new, base, others)
+    (before, V), (after, V_new) = (_twists(rig, base, others) for rig in (old, new))
+    shift = se3.log_se3(np.stack(after) @ se3.inverse(before)).ravel()
+    V += V_new
     # One column of blocks for each sensor: the base moves all others the other way.
     columns = {name: np.kron(np.eye(len(others))[:, [k]], np.eye(6))
                for k, name in enumerate(others)}
     columns[base] = -np.kron(np.ones((len(others), 1)), np.eye(6))
+    to_step = {name: twist_to_step(np.eye(4), T) for name, T in zip(others, before, strict=True)}
+    to_step[base] = np.eye(6)
     limits = limits_of(new.config.calibration)
-    found: list[Change] = []
-    free = np.zeros((len(V), 0))
-    L = {name: twist_to_step(np.eye(4), old.sensors[name].T_base_sensor if name != base else
-                             np.eye(4)) for name in columns}
     sensors = []
     for k, name in enumerate(others):
-        part = slice(6 * k, 6 * k + 6)
-        step, P = L[name] @ shift[part], L[name] @ V[part, part] @ L[name].T
+        part, L = slice(6 * k, 6 * k + 6), to_step[name]
+        step, P = L @ shift[part], L @ V[part, part] @ L.T
         chi_squared, degrees = misfit(step, P, limits)
         std = np.sqrt(np.diagonal(P))
         known = np.where(std < limits, 1.0, np.nan)
@@ -131,46 +128,37 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     shift = K @ shift
     total, count = float(shift @ shift), len(K)
     left, degrees = total, count
+    found: list[Change] = []
+    free = np.zeros((len(V), 0))
     while degrees > 0 and probability(left, degrees) < FALSE_ALARM:
         tried = []
         for name, column in columns.items():
-            if name in {change.sensor for change in found}:
-                continue
             A = np.concatenate([free, limits * column], axis=1)
             # A move along what is open is not looked for either.
             answer, _, rank, _ = np.linalg.lstsq(
                 K @ A, shift, rcond=1.0 / max(1.0, float(np.linalg.norm(K @ A, 2))))
-            rest = shift - K @ A @ answer
-            tried.append((float(rest @ rest), name, limits * answer[-6:], A, count - int(rank)))
-        after, name, twist, free, remaining = min(tried, key=lambda item: item[0])
-        shown = degrees - remaining
+            tried.append((float(np.sum((shift - K @ A @ answer)**2)), name,
+                          limits * answer[-6:], A, count - int(rank)))
+        rest, name, twist, free, remaining = min(tried, key=lambda item: item[0])
+        del columns[name]
+        L, shown = to_step[name], degrees - remaining
         # What nothing tells has the deviation of the limit, at least.
         bound = np.linalg.inv((K @ free[:, -6:]).T @ (K @ free[:, -6:]) + np.eye(6))
-        std = np.sqrt(np.diagonal(L[name] @ (np.outer(limits, limits) * bound) @ L[name].T))
-        found.append(Change(name, L[name] @ twist, std, left - after, shown,
-                            min(1.0, probability(left - after, shown) * len(tried))))
-        left, degrees = after, remaining
+        std = np.sqrt(np.diagonal(L @ (np.outer(limits, limits) * bound) @ L.T))
+        found.append(Change(name, L @ twist, std, left - rest, shown,
+                            min(1.0, probability(left - rest, shown) * len(tried))))
+        left, degrees = rest, remaining
     of_base = [item for item in found if item.sensor == base]
     missing = tuple(name for name in old.sensors if name not in common)
     return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
                          probability(total, count))
 
 
-def _twist_between(T_0: FloatArray, T_1: FloatArray) -> FloatArray:
-    """Return the (6,) twist about the base that takes one pose to another."""
-    return se3.log_se3(T_1 @ se3.inverse(T_0))
-
-
-def _twist_covariance(rig: RigResult, base: str, others: list[str]) -> FloatArray:
-    """Return (6 n, 6 n) of the sensors in ``base``, as twists about it."""
-    of = {name: np.zeros((6, len(rig.covariance))) for name in (base, *others)}
-    for name, rows in of.items():
-        if name in rig.free:
-            k = 6 * rig.free.index(name)
-            rows[:, k:k + 6] = np.linalg.inv(
-                twist_to_step(np.eye(4), rig.sensors[name].T_base_sensor))
-    # From the base of the rig to the one that is asked for.
+def _twists(
+    rig: RigResult, base: str, others: list[str],
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return (4, 4) sensors in ``base``, and the (6 n, 6 n) covariance of their twists."""
     Ad = se3.adjoint(se3.inverse(rig.sensors[base].T_base_sensor))
-    rows = np.concatenate([Ad @ (of[name] - of[base]) for name in others])
-    covariance: FloatArray = rows @ rig.covariance @ rows.T
-    return covariance
+    rows = np.concatenate([
+        Ad @ (twist_rows(rig, name) - twist_rows(rig, base)) for name in others])
+    return [rig.transform(base, name) for name in others], rows @ rig.covariance @ rows.T

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -13,9 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.observed import probability, without
+from trajectory_calibration.rig.result import Contradiction
+from trajectory_calibration.rig.tree import Tree
 from trajectory_calibration.rig.windows import Grid, Level, TWIST
 
 # Blocks that a drive is cut into, at least, to find when a mount moved.
@@ -39,73 +41,58 @@ _SURE = 5.0
 _Numbers = NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """A mount that moved on the way.
-
-    Attributes
-    ----------
-    sensor : its number.
-    sample : of the grid, where it moved.
-    step : (6,), of the pose in the base, order as a covariance.
-    chi_squared, degrees : with the scatter of the blocks taken out.
-    p_value : with all moments and sensors that were tried.
-
-    """
-
-    sensor: int
-    sample: int
-    step: FloatArray
-    chi_squared: float
-    degrees: int
-    p_value: float
-
-
-def find_moved(
-    levels: Sequence[Level], noise: FloatArray, X: FloatArray, grid: Grid,
-    free: Sequence[FloatArray],
-) -> Moved | None:
+def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
     """Return the sensor whose extrinsic before some moment is surest another one than after it.
 
     Every sensor is compared with the weighted mean of the others. A mount that moves at once
     shows twice: the track jumps by as much as the extrinsic changes. A SLAM that jumps shows
     once. So at every large jump the change of the extrinsic is asked whether it is the jump
     rather than zero, which is one question instead of six; elsewhere whether it is zero.
-    ``noise`` (T, S, 6, 6) are the covariances of the differences of each sensor; ``X`` (S, 4, 4)
-    the sensors in the base; ``free`` (S,) the (6, K) twists about the base that are open.
     """
-    sensors = noise.shape[1]
+    levels, noise, grid = tree.levels, tree.noise, tree.grid
+    if noise is None or grid is None:
+        return None
     count = int(levels[0].last[-1]) + 1
     size = 2 ** max(1, int(np.log2(count / _BLOCKS)))
     blocks = count // size
-    if sensors < 3 or blocks < 2 * _AROUND:
+    if blocks < 2 * _AROUND:
         return None
-    found: list[Moved] = []
     # The length at which a jump shows best: white noise is averaged, and drift is small yet.
     best = int(np.argmin(np.trace(noise[:, :, :3, :3], axis1=2, axis2=3).mean(axis=1)))
     half = min(2 ** best, size)
     steps, samples = _steps(grid, half)
-    for s in range(sensors):
-        evidence = _Evidence(*_blocks(levels, noise, s, size, blocks), free[s])
-        degrees = 6 - free[s].shape[1]
+    found = []
+    for s, free in enumerate(tree.free_twists()):
+        evidence = *_blocks(levels, noise, s, size, blocks), free
+        degrees = 6 - free.shape[1]
         tried = [(cut * size, None, *told) for cut in range(blocks)
-                 if (told := evidence.change(cut, cut)) is not None]
+                 if (told := _change(*evidence, cut, cut)) is not None]
         jumps = [(sample, jump, *told)
                  for sample, jump in _jumps(noise[best], steps, samples, s, half)
-                 if (told := evidence.change(sample // size, sample // size + 1)) is not None]
+                 if (told := _change(*evidence, sample // size, sample // size + 1)) is not None]
         for sample, jump, change, weight in (*tried, *jumps):
-            twist = change if jump is None else jump
             chi_squared = float(change @ weight @ change)
             p_value = probability(chi_squared, degrees) * len(tried)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.
                 p_value = math.erfc(math.sqrt(max(chi_squared, 0.0) / 2)) / 2 * len(jumps)
-            step = twist.copy()
-            step[:3] += np.cross(twist[3:], X[s, :3, 3])
-            found.append(Moved(s, sample, step, chi_squared, degrees if jump is None else 1,
-                               min(1.0, p_value * sensors)))
-    return min(found, key=lambda item: (item.p_value, -item.chi_squared), default=None)
+            found.append((
+                min(1.0, p_value * len(tree.names)), -chi_squared, 1 if jump is not None else
+                degrees, s, sample, change if jump is None else jump))
+    if not found:
+        return None
+    p_value, chi_squared, degrees, s, sample, twist = min(found, key=lambda item: item[:2])
+    if p_value >= FALSE_ALARM:
+        return None
+    step = twist.copy()
+    step[:3] += np.cross(twist[3:], tree.start[s, :3, 3])
+    seconds = 1e-9 * float(grid.stamps_ns[sample] - grid.stamps_ns[0])
+    name = tree.names[s]
+    return s, Contradiction(
+        name, 'moved', f'the mount of {name} moved by {describe_step(step)} near {seconds:.0f} s: '
+        'fasten it, and calibrate the parts before and after alone',
+        -chi_squared, degrees, p_value)
 
 
 def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
@@ -188,34 +175,27 @@ def _mean(P: _Numbers, W: _Numbers, values: FloatArray) -> FloatArray:
     return mean
 
 
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """Of one sensor against all others: (B, 6) scores, (B, 6, 6) information, what is open."""
-
-    score: FloatArray
-    information: FloatArray
-    free: FloatArray
-
-    def change(self, until: int, since: int) -> tuple[FloatArray, FloatArray] | None:
-        """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight."""
-        known = np.trace(self.information, axis1=1, axis2=2) > 0
-        parts = (slice(None, until), slice(since, None))
-        if min(np.count_nonzero(known[part]) for part in parts) < _AROUND:
-            return None
-        untold = np.diag(1.0 / _UNTOLD**2)
-        H = [self.information[part].sum(axis=0) for part in parts]
-        x = [np.linalg.solve(h + untold, self.score[part].sum(axis=0))
-             for h, part in zip(H, parts, strict=True)]
-        # By how much the blocks scatter more than their noise says.
-        left = np.concatenate([
-            (self.score[part] - self.information[part] @ answer)[known[part]]
-            for part, answer in zip(parts, x, strict=True)])
-        used = np.concatenate([self.information[part][known[part]] for part in parts])
-        scatter = np.einsum(
-            'bi,bi->', left, np.linalg.solve(used + untold, left[:, :, None])[:, :, 0])
-        inflation = max(1.0, float(scatter) / (6 * (len(left) - 2)))
-        weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
-        return x[1] - x[0], without(weight, self.free)
+def _change(
+    score: FloatArray, information: FloatArray, free: FloatArray, until: int, since: int,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight."""
+    known = np.trace(information, axis1=1, axis2=2) > 0
+    parts = (slice(None, until), slice(since, None))
+    if min(np.count_nonzero(known[part]) for part in parts) < _AROUND:
+        return None
+    untold = np.diag(1.0 / _UNTOLD**2)
+    H = [information[part].sum(axis=0) for part in parts]
+    x = [np.linalg.solve(h + untold, score[part].sum(axis=0))
+         for h, part in zip(H, parts, strict=True)]
+    # By how much the blocks scatter more than their noise says.
+    left = np.concatenate([(score[part] - information[part] @ answer)[known[part]]
+                           for part, answer in zip(parts, x, strict=True)])
+    used = np.concatenate([information[part][known[part]] for part in parts])
+    scatter = np.einsum(
+        'bi,bi->', left, np.linalg.solve(used + untold, left[:, :, None])[:, :, 0])
+    inflation = max(1.0, float(scatter) / (6 * (len(left) - 2)))
+    weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
+    return x[1] - x[0], without(weight, free)
 
 
 def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int, float]]:

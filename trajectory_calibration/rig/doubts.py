@@ -11,11 +11,7 @@ import numpy as np
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.contradictions import (
-    describe_step,
-    find_moved,
-    find_other_clocks,
-)
+from trajectory_calibration.rig.contradictions import find_moved, find_other_clocks
 from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import PairFailure
@@ -52,28 +48,15 @@ def doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
     """Return the sensors that contradict the rest, one after the other, and what was found."""
     doubted: frozenset[int] = frozenset()
     found: list[Contradiction] = []
-    if len(tree.names) < 3:
-        return doubted, found
-    if tree.noise is not None and tree.grid is not None:
-        moved = find_moved(tree.levels, tree.noise, tree.start, tree.grid, tree.free_twists())
-        if moved is not None and moved.p_value < FALSE_ALARM:
-            seconds = 1e-9 * float(tree.grid.stamps_ns[moved.sample] - tree.grid.stamps_ns[0])
-            name = tree.names[moved.sensor]
-            doubted |= {moved.sensor}
-            found.append(Contradiction(
-                name, 'moved', f'the mount of {name} moved by {describe_step(moved.step)} near '
-                f'{seconds:.0f} s: fasten it, and calibrate the parts before and after alone',
-                moved.chi_squared, moved.degrees, moved.p_value))
-    while len(doubted) < _MOST_DOUBTED:
-        worst = _worst_in_loops(tree, doubted)
+    for _ in range(_MOST_DOUBTED if len(tree.names) > 2 else 0):
+        worst = (None if doubted else find_moved(tree)) or _worst_in_loops(tree, doubted)
         if worst is None:
-            return doubted, found
+            break
         sensor, item = worst
-        if sensor is not None:
-            doubted |= {sensor}
         found.append(item)
         if sensor is None:
-            return doubted, found
+            break
+        doubted |= {sensor}
     return doubted, found
 
 
@@ -82,30 +65,29 @@ def _worst_in_loops(
 ) -> tuple[int | None, Contradiction] | None:
     """Return the sensor without which the loops close best, where they do not close."""
     now = tree.fuse(doubted=doubted)
-    if probability(now.chi_squared, now.degrees) >= FALSE_ALARM:
+    p_now = probability(now.chi_squared, now.degrees)
+    if p_now >= FALSE_ALARM:
         return None
     left = [k for k in range(len(tree.names)) if k not in doubted]
     tried = []
     for k in left:
         without = tree.fuse(doubted=doubted | {k})
-        gain, degrees = now.chi_squared - without.chi_squared, now.degrees - without.degrees
-        p_rest = probability(without.chi_squared, without.degrees)
-        tried.append((p_rest, gain, degrees, k, without))
-    # Without the culprit the others agree; of three, nobody is left to agree.
-    told = [item for item in tried if item[4].degrees > 0]
-    if not told:
+        # Without the culprit the others agree; of three, nobody is left to agree.
+        if without.degrees > 0:
+            tried.append((
+                probability(without.chi_squared, without.degrees),
+                now.chi_squared - without.chi_squared, now.degrees - without.degrees, k))
+    if not tried:
         names = ', '.join(tree.names[k] for k in left)
         return None, Contradiction(
             tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
             'three sensors the wrong one cannot be named: add a sensor, or check all',
-            now.chi_squared, now.degrees, probability(now.chi_squared, now.degrees))
-    p_rest, gain, degrees, k, _ = max(told, key=lambda item: (item[0], item[1]))
-    name = tree.names[k]
-    p_value = min(1.0, probability(gain, degrees) * len(told))
+            now.chi_squared, now.degrees, p_now)
+    p_rest, gain, degrees, k = max(tried, key=lambda item: item[:2])
     return k, Contradiction(
-        name, 'loops', f'the pairs of {name} contradict those of the others (which agree with '
-        f'p = {p_rest:.2g} without it): check its frame, its units and its data',
-        gain, degrees, p_value)
+        tree.names[k], 'loops', f'the pairs of {tree.names[k]} contradict those of the others '
+        f'(which agree with p = {p_rest:.2g} without it): check its frame, its units and its data',
+        gain, degrees, min(1.0, probability(gain, degrees) * len(tried)))
 
 
 def against_priors(

@@ -21,11 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.prior import Prior
-from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.observed import limits_of, misfit, whitener
+from trajectory_calibration.rig.observed import misfit, whitener
 from trajectory_calibration.rig.shared_noise import regular, with_own_share
 
 _MAX_STEPS = 50
@@ -73,9 +72,9 @@ def fuse(
     answers: FloatArray,
     C: FloatArray,
     *,
+    limits: FloatArray,
     priors: Mapping[int, Prior] | None = None,
     trusted: NDArray[np.bool_] | None = None,
-    limits: FloatArray | None = None,
 ) -> Fused:
     """Return the rig that is closest to the answers of its pairs.
 
@@ -89,12 +88,12 @@ def fuse(
         Pose of the child in the parent, metres of the base.
     C : (P, 6, P, 6)
         Their joint covariance.
+    limits : (6,)
+        Deviations from which a direction is open (``observed.py``) and no loop is judged by it.
     priors : mapping of int to Prior, optional
-        Of the poses in the base, by sensor.
+        Of the poses in the base, by sensor but the first.
     trusted : (P,) bool, optional
         The others have hardly any weight: they tell only what nothing else does.
-    limits : (6,), optional
-        Deviations from which a direction is open (``observed.py``) and no loop is judged by it.
 
     Raises
     ------
@@ -102,32 +101,29 @@ def fuse(
         No convergence: the answers contradict each other by far.
 
     """
-    columns = {s: slice(6 * s - 6, 6 * s) for s in range(1, len(start))}
-    limits = limits_of(CalibrationConfig()) if limits is None else limits
+    priors = priors or {}
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
     doubt = np.where(trust, 1.0, 1.0 / _DOUBTED)
     whitening = np.linalg.inv(np.linalg.cholesky(np.stack([
         regular(C[p, :, p]) * doubt[p]**2 for p in range(len(pairs))])))
     X, step, left = start.copy(), np.full(1, np.inf), np.inf
     for _ in range(_MAX_STEPS):
-        residual, A = _linearise(X, pairs, answers, columns)
-        known, expected = _prior_rows(X, priors or {}, columns)
-        rows = np.concatenate([_times(whitening, A), known])
-        sides = np.concatenate([_times(whitening, residual), expected])
-        Q, triangle = np.linalg.qr(rows)
-        step = np.linalg.solve(triangle, Q.T @ sides)
+        residual, A = _linearise(X, pairs, answers)
+        known, expected = _prior_rows(X, priors)
+        Q, triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))
+        step = np.linalg.solve(
+            triangle, Q.T @ np.concatenate([_times(whitening, residual), expected]))
         # In deviations: rounding moves what is open by more than what is known.
         left = float(np.linalg.norm(triangle @ step))
-        for s, k in columns.items():
-            X[s] = se3.moved(X[s], step[k])
+        X[1:] = se3.moved(X[1:], step.reshape(-1, 6))
         if np.abs(step).max() < _SETTLED:
             break
     if np.abs(step).max() > 1e-6 and left > 1e-3:
         raise SolverError(
             f'the poses of {len(start)} sensors do not settle in {_MAX_STEPS} steps: the answers '
             'of their pairs contradict each other; leave a sensor out')
-    residual, A = _linearise(X, pairs, answers, columns)
-    known = _prior_rows(X, priors or {}, columns)[0]
+    residual, A = _linearise(X, pairs, answers)
+    known = _prior_rows(X, priors)[0]
     triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))[1]
     inverse = np.linalg.inv(triangle)
     G = inverse @ inverse.T
@@ -136,26 +132,32 @@ def fuse(
     from_pairs = weights @ C.reshape(len(residual), -1) @ weights.T
     from_priors = G @ known.T
     covariance = from_pairs + from_priors @ from_priors.T
-    of_pairs, of_loops = _misclosure(residual, A, weights, C, trust, limits)
-    return Fused(X, 0.5 * (covariance + covariance.T), residual.reshape(-1, 6), *of_pairs,
-                 *of_loops)
+    return Fused(X, 0.5 * (covariance + covariance.T), residual.reshape(-1, 6),
+                 *_pair_misfits(residual, A, weights, C, limits),
+                 *_loop_misfit(residual, A, C, trust, limits))
 
 
-def _misclosure(
-    residual: FloatArray, A: FloatArray, weights: FloatArray, C: FloatArray,
-    trusted: NDArray[np.bool_], limits: FloatArray,
-) -> tuple[tuple[FloatArray, FloatArray], tuple[float, int]]:
-    """Return chi-squared and degrees of each pair, and of the loops of the trusted ones."""
-    pairs = C.shape[0]
-    V = with_own_share(C, _OWN_SHARE)
-    unit = np.tile(limits, pairs)
+def _loop_misfit(
+    residual: FloatArray, A: FloatArray, C: FloatArray, trusted: NDArray[np.bool_],
+    limits: FloatArray,
+) -> tuple[float, int]:
+    """Return chi-squared and degrees of the loops of the trusted pairs."""
     rows = np.repeat(trusted, 6)
-    U, values, _ = np.linalg.svd(A[rows] / unit[rows, None])
-    loops = (U[:, np.count_nonzero(values > 1e-9 * values.max(initial=1.0)):] / unit[rows, None]).T
-    of_loops = misfit(loops @ residual[rows], loops @ V[np.ix_(rows, rows)] @ loops.T, np.ones(1))
+    unit = np.tile(limits, len(C))[rows, None]
+    U, values, _ = np.linalg.svd(A[rows] / unit)
+    loops = (U[:, np.count_nonzero(values > 1e-9 * values.max(initial=1.0)):] / unit).T
+    V = with_own_share(C, _OWN_SHARE)[np.ix_(rows, rows)]
+    return misfit(loops @ residual[rows], loops @ V @ loops.T, np.ones(1))
+
+
+def _pair_misfits(
+    residual: FloatArray, A: FloatArray, weights: FloatArray, C: FloatArray, limits: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (P,) chi-squared and degrees of each pair; NaN where no other pair checks it."""
+    V = with_own_share(C, _OWN_SHARE)
     left = np.eye(len(residual)) - A @ weights
-    each, degrees = np.full(pairs, np.nan), np.zeros(pairs)
-    for p in range(pairs):
+    each, degrees = np.full(len(C), np.nan), np.zeros(len(C))
+    for p in range(len(C)):
         part = slice(6 * p, 6 * p + 6)
         own, P = left[part] @ V @ left[part].T, C[p, :, p]
         if np.trace(np.linalg.solve(regular(P), own)) > 1e-6:
@@ -163,7 +165,7 @@ def _misclosure(
             K = whitener(P, limits)
             found, degrees[p] = K @ residual[part], len(K)
             each[p] = found @ np.linalg.solve(K @ own @ K.T + 1e-4 * np.eye(len(K)), found)
-    return (each, degrees), of_loops
+    return each, degrees
 
 
 def _times(blocks: FloatArray, rows: FloatArray) -> FloatArray:
@@ -178,19 +180,16 @@ def spanning_start(
     """Return (S, 4, 4) sensors in the first along the surest pairs; NaN where none leads."""
     X = np.full((sensors, 4, 4), np.nan)
     X[0] = np.eye(4)
-    reached = {0}
+    known = {0}
     size = [float(np.trace(regular(P))) for P in stated]
-    while True:
-        edges = [p for p, (i, j) in enumerate(pairs) if (i in reached) != (j in reached)]
-        if not edges:
-            return X
+    while edges := [p for p, (i, j) in enumerate(pairs) if (i in known) != (j in known)]:
         i, j = pairs[p := min(edges, key=size.__getitem__)]
-        if i in reached:
+        if i in known:
             X[j] = X[i] @ answers[p]
         else:
-            i, j = j, i
-            X[j] = X[i] @ se3.inverse(answers[p])
-        reached.add(j)
+            X[i] = X[j] @ se3.inverse(answers[p])
+        known |= {i, j}
+    return X
 
 
 def fuse_numbers(
@@ -200,10 +199,8 @@ def fuse_numbers(
 
     ``V`` (P, P) is the covariance of the differences ``child - parent``.
     """
-    A = np.zeros((len(pairs), sensors))
-    for p, (i, j) in enumerate(pairs):
-        A[p, i], A[p, j] = -1.0, 1.0
-    A = A[:, 1:]
+    i, j = np.array(pairs, dtype=np.intp).T
+    A = (np.eye(sensors)[j] - np.eye(sensors)[i])[:, 1:]
     weight = 1.0 / np.maximum(np.diagonal(V), 1e-24)
     normal = (A.T * weight) @ A
     weights = np.linalg.solve(normal, A.T * weight)
@@ -214,43 +211,31 @@ def fuse_numbers(
 
 def _linearise(
     X: FloatArray, pairs: Sequence[tuple[int, int]], answers: FloatArray,
-    columns: Mapping[int, slice],
 ) -> tuple[FloatArray, FloatArray]:
     """Return (6 P,) steps from the rig to the answers, and how they grow with the poses."""
-    residual = np.empty((len(pairs), 6))
-    A = np.zeros((len(pairs), 6, 6 * len(columns)))
-    for p, (i, j) in enumerate(pairs):
-        residual[p] = se3.step_between(se3.inverse(X[i]) @ X[j], answers[p])
-        of_i, of_j = pair_jacobian(X[i], X[j])
-        if i in columns:
-            A[p, :, columns[i]] = of_i
-        if j in columns:
-            A[p, :, columns[j]] = of_j
-    return residual.ravel(), A.reshape(-1, A.shape[2])
+    i, j = np.array(pairs, dtype=np.intp).T
+    residual = se3.step_between(se3.inverse(X[i]) @ X[j], answers)
+    A = np.zeros((len(pairs), 6, len(X), 6))
+    for p, (one, other) in enumerate(pairs):
+        A[p, :, one], A[p, :, other] = pair_jacobian(X[one], X[other])
+    return residual.ravel(), A[:, :, 1:].reshape(6 * len(pairs), -1)
 
 
 def pair_jacobian(X_i: FloatArray, X_j: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return two (6, 6): the step of the pose of j in i by steps of i and of j in the base."""
-    Rt = X_i[:3, :3].T
-    of_j = np.zeros((6, 6))
-    of_j[:3, :3] = of_j[3:, 3:] = Rt
+    of_j = np.kron(np.eye(2), X_i[:3, :3].T)
     of_i = -of_j
-    of_i[:3, 3:] = Rt @ se3.skew(X_j[:3, 3] - X_i[:3, 3])
+    of_i[:3, 3:] = X_i[:3, :3].T @ se3.skew(X_j[:3, 3] - X_i[:3, 3])
     return of_i, of_j
 
 
-def _prior_rows(
-    X: FloatArray, priors: Mapping[int, Prior], columns: Mapping[int, slice],
-) -> tuple[FloatArray, FloatArray]:
+def _prior_rows(X: FloatArray, priors: Mapping[int, Prior]) -> tuple[FloatArray, FloatArray]:
     """Return whitened rows and sides of what is known of the poses beforehand."""
-    rows, sides = [np.zeros((0, 6 * len(columns)))], [np.zeros(0)]
+    width = 6 * len(X) - 6
+    rows, sides = [np.zeros((0, width))], [np.zeros(0)]
     for s, prior in priors.items():
-        if s not in columns:
-            continue
-        known = np.isfinite(prior.std)
+        known = np.flatnonzero(np.isfinite(prior.std))
         std = np.maximum(prior.std[known], _FIXED)
-        row = np.zeros((len(std), 6 * len(columns)))
-        row[:, columns[s]] = np.eye(6)[known] / std[:, None]
-        rows.append(row)
+        rows.append(np.eye(width)[6 * s - 6 + known] / std[:, None])
         sides.append(prior.deviation(X[s])[known] / std)
     return np.concatenate(rows), np.concatenate(sides)

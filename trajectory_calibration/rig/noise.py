@@ -11,6 +11,7 @@ the noise is halved between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -27,7 +28,7 @@ _FLOOR = 0.03
 # Windows that tell a variance without rounding to nothing.
 _FEWEST_WINDOWS = 6
 
-_SWEEPS = 500
+_SWEEPS, _REFITS = 500, 5
 
 # Metres and radians that are rounding: a nanosecond at 10 m/s.
 _LEAST = 1e-8
@@ -65,15 +66,13 @@ def pair_squares(levels: list[Level]) -> tuple[FloatArray, FloatArray]:
     squares = np.full((len(levels), 2, sensors, sensors), np.nan)
     counts = np.zeros((len(levels), sensors, sensors))
     for level, square, count in zip(levels, squares, counts, strict=True):
-        for i in range(sensors):
-            for j in range(i + 1, sensors):
-                both = level.known[i] & level.known[j]
-                count[i, j] = count[j, i] = n = np.count_nonzero(both)
-                if n < 2:
-                    continue
+        for i, j in combinations(range(sensors), 2):
+            both = level.known[i] & level.known[j]
+            count[i, j] = count[j, i] = np.count_nonzero(both)
+            if count[i, j] >= 2:
                 apart = level.differences[j, both] - level.differences[i, both]
-                for part, values in enumerate((apart[:, :3], apart[:, 3:])):
-                    square[part, i, j] = square[part, j, i] = _variance(np.sum(values**2, axis=1))
+                square[:, i, j] = square[:, j, i] = [
+                    _variance(np.sum(part**2, axis=1)) for part in np.split(apart, 2, axis=1)]
     return squares, counts
 
 
@@ -123,24 +122,23 @@ def white_and_drift(
     weight = np.sqrt([level.jacobian.shape[0] for level in levels])
     columns = np.column_stack([2.0 / half, 2 / 3 * np.maximum(metres, 1e-9)])
     found = []
-    for s in range(variances.shape[1]):
-        fitted = []
-        for part in range(2):
-            values = variances[:, s, part]
-            usable = np.isfinite(values)
-            if not usable.any():
-                fitted.append((0.0, 0.0))
-                continue
-            X, y = columns[usable], np.maximum(values[usable], _LEAST**2)
-            expected = y
-            fit = np.zeros(2)
-            for _ in range(5):
-                root = weight[usable] / expected
-                fit = _nonnegative(X * root[:, None], y * root)
-                expected = np.maximum(X @ fit, 1e-3 * y)
-            fitted.append((float(np.sqrt(fit[0])), float(np.sqrt(fit[1]))))
-        (white_m, drift_m), (white_rad, drift_rad) = fitted
+    for of_sensor in variances.swapaxes(0, 1):
+        (white_m, drift_m), (white_rad, drift_rad) = (
+            _fitted(columns, values, weight) for values in of_sensor.T)
         found.append(SensorNoise(white_m, white_rad, drift_m, drift_rad))
+    return found
+
+
+def _fitted(columns: FloatArray, values: FloatArray, weight: FloatArray) -> list[float]:
+    """Return the deviations of white noise and random walk that explain (T,) variances best."""
+    usable = np.isfinite(values)
+    X, y = columns[usable], np.maximum(values[usable], _LEAST**2)
+    expected, fit = y, np.zeros(2)
+    for _ in range(_REFITS if usable.any() else 0):
+        root = weight[usable] / expected
+        fit = _nonnegative(X * root[:, None], y * root)
+        expected = np.maximum(X @ fit, 1e-3 * y)
+    found: list[float] = np.sqrt(fit).tolist()
     return found
 
 
@@ -155,26 +153,20 @@ def _variance(squares: FloatArray) -> float:
 def _components(sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return (S,) variances >= 0 whose sums i + j are closest to (S, S) ``sums``; NaN: unknown."""
     sensors = len(sums)
-    i, j = np.triu_indices(sensors, 1)
-    known = np.isfinite(sums[i, j]) & (counts[i, j] > 0)
-    i, j = i[known], j[known]
-    result = np.full(sensors, np.nan)
+    i, j = np.nonzero(np.triu(np.isfinite(sums) & (counts > 0), 1))
     if not len(i):
-        return result
+        return np.full(sensors, np.nan)
     y = np.maximum(sums[i, j], _LEAST**2)
-    rows = np.zeros((len(y), sensors))
-    rows[np.arange(len(y)), i] = rows[np.arange(len(y)), j] = 1.0
-    involved = rows.any(axis=0)
+    rows = np.eye(sensors)[i] + np.eye(sensors)[j]
     # A mean square of n windows is known to a share of it.
     root = np.sqrt(counts[i, j]) / y
     # What no sum tells apart is shared equally.
     faint = 1e-3 * np.sqrt(np.sum((rows * root[:, None])**2, axis=0).mean())
-    middle = np.median(y) / 2
     A = np.concatenate([rows * root[:, None], faint * np.eye(sensors)])
-    found = _nonnegative(A, np.concatenate([y * root, np.full(sensors, faint * middle)]))
-    floor = np.array([_FLOOR * min(y[(i == s) | (j == s)], default=0.0) for s in range(sensors)])
-    result[involved] = np.maximum(found, floor)[involved]
-    return result
+    found = _nonnegative(
+        A, np.concatenate([y * root, np.full(sensors, faint * np.median(y) / 2)]))
+    least = np.min(np.where(rows > 0, y[:, None], np.inf), axis=0)
+    return np.where(np.isfinite(least), np.maximum(found, _FLOOR * least), np.nan)
 
 
 def _nonnegative(A: FloatArray, y: FloatArray) -> FloatArray:
@@ -196,8 +188,7 @@ def _nonnegative(A: FloatArray, y: FloatArray) -> FloatArray:
 def _continued(variances: FloatArray) -> FloatArray:
     """Fill what a length does not tell with the nearest shorter one, then the nearest longer."""
     filled = variances.copy()
-    for t in range(1, len(filled)):
-        filled[t] = np.where(np.isfinite(filled[t]), filled[t], filled[t - 1])
-    for t in range(len(filled) - 2, -1, -1):
-        filled[t] = np.where(np.isfinite(filled[t]), filled[t], filled[t + 1])
+    for ordered in (filled, filled[::-1]):
+        for before, values in pairwise(ordered):
+            np.copyto(values, before, where=~np.isfinite(values))
     return filled

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -40,12 +40,16 @@ _WORTH_PROCESSES = 12_000
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer:
-    """What two sensors alone say: their names, the answer, and the (6, 6) that it states."""
+    """What two sensors alone say: their names, and the answer, which has a covariance."""
 
     parent: str
     child: str
     result: CalibrationResult
-    covariance: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Return the (6, 6) that the answer states."""
+        return np.asarray(self.result.covariance)
 
 
 @dataclass(frozen=True)
@@ -58,11 +62,20 @@ class PairFailure:
     no_common_time: bool = False
 
 
-def answer_of(parent: str, child: str, result: CalibrationResult) -> PairAnswer | PairFailure:
-    """Return the answer of a pair; a failure where it does not say how sure it is."""
-    if result.covariance is None:
-        return PairFailure(parent, child, 'no covariance')
-    return PairAnswer(parent, child, result, result.covariance)
+def sorted_out(
+    pairs: Iterable[PairAnswer | PairFailure],
+) -> tuple[list[PairAnswer], list[PairFailure]]:
+    """Return the answers and the failures; an answer that does not say how sure it is, is one."""
+    answers: list[PairAnswer] = []
+    failures: list[PairFailure] = []
+    for pair in pairs:
+        if isinstance(pair, PairFailure):
+            failures.append(pair)
+        elif pair.result.covariance is None:
+            failures.append(PairFailure(pair.parent, pair.child, 'no covariance'))
+        else:
+            answers.append(pair)
+    return answers, failures
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +86,17 @@ class _Task:
     b: Trajectory
     config: RigConfig
 
-    def run(self) -> PairAnswer | PairFailure:
-        settings = self.config.calibration
-        if self.config.of(self.child).scale == 'free' and settings.solver == 'drift_aware':
-            settings = replace(settings, scale_mode='estimate', scale=1.0)
-        try:
-            result = calibrate(self.a, self.b, replace(settings, allow_unobserved=True))
-        except CalibrationError as error:
-            return PairFailure(self.parent, self.child,
-                               in_rig_words(str(error), self.parent, self.child),
-                               no_common_time=isinstance(error, AssociationError))
-        return answer_of(self.parent, self.child, result)
+
+def _run(task: _Task) -> PairAnswer | PairFailure:
+    settings = replace(task.config.calibration, allow_unobserved=True)
+    if task.config.of(task.child).scale == 'free' and settings.solver == 'drift_aware':
+        settings = replace(settings, scale_mode='estimate', scale=1.0)
+    try:
+        return PairAnswer(task.parent, task.child, calibrate(task.a, task.b, settings))
+    except CalibrationError as error:
+        return PairFailure(task.parent, task.child,
+                           in_rig_words(str(error), task.parent, task.child),
+                           no_common_time=isinstance(error, AssociationError))
 
 
 def calibrate_pairs(
@@ -95,35 +108,30 @@ def calibrate_pairs(
     first is the parent, the base before all.
     """
     names = [base, *(name for name in trajectories if name != base)]
-    answers: list[PairAnswer] = []
-    failures: list[PairFailure] = []
-    tried: set[frozenset[str]] = set()
+    found: dict[frozenset[str], PairAnswer | PairFailure] = {}
 
-    def extend(wanted: Sequence[tuple[str, str]], most: int = 0) -> None:
+    def extend(wanted: Iterable[tuple[str, str]], most: int = 0) -> list[PairAnswer]:
+        """Calibrate pairs that are new, with so many poses at most; return all answers."""
         new = dict.fromkeys(_oriented(pair, names, config) for pair in wanted
-                            if frozenset(pair) not in tried)
-        tried.update(map(frozenset, new))
+                            if frozenset(pair) not in found)
         tasks = [_Task(parent, child, _thinned(trajectories[parent], most),
                        _thinned(trajectories[child], most), config) for parent, child in new]
         with _mapper(tasks, config.processes) as run:
-            for found in run(_run, tasks):
-                if isinstance(found, PairAnswer):
-                    answers.append(found)
-                else:
-                    failures.append(found)
+            found.update(zip(map(frozenset, new), run(_run, tasks), strict=True))
+        return sorted_out(found.values())[0]
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
-        extend(list(combinations(names, 2)))
-        return answers, failures
-    extend([(base, name) for name in names[1:]])
+        extend(combinations(names, 2))
+        return sorted_out(found.values())
+    answers = extend((base, name) for name in names[1:])
     if config.pairs == 'auto':
         hubs = _hubs(answers, names, config)
-        extend([(hub, name) for hub in hubs for name in names if name != hub],
-               _CHECKED_POSES)
+        answers = extend(((hub, name) for hub in hubs for name in names if name != hub),
+                         _CHECKED_POSES)
     # Sensors that the base does not reach may reach each other.
-    extend([(one, other) for group, rest in combinations(connected(names, answers), 2)
-            for one in group for other in rest])
-    return answers, failures
+    extend((one, other) for group, rest in combinations(connected(names, answers), 2)
+           for one in group for other in rest)
+    return sorted_out(found.values())
 
 
 def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig) -> list[str]:
@@ -159,14 +167,9 @@ def _oriented(
 
 def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
     stride = -(-len(trajectory) // most) if most else 1
-    if stride == 1:
-        return trajectory
-    return Trajectory(trajectory.stamps_ns[::stride], trajectory.poses[::stride],
-                      trajectory.world_frame, trajectory.sensor_frame)
-
-
-def _run(task: _Task) -> PairAnswer | PairFailure:
-    return task.run()
+    return trajectory if stride == 1 else replace(
+        trajectory, stamps_ns=trajectory.stamps_ns[::stride],
+        poses=trajectory.poses[::stride], findings=())
 
 
 _Found = PairAnswer | PairFailure

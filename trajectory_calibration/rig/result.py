@@ -12,6 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import (
+    DEGREES_OF_FREEDOM,
+    deviations_of,
+    judge,
+    UNOBSERVED,
+)
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding
@@ -27,8 +33,6 @@ from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
 RIG_FORMAT_VERSION = 1
-
-COMPONENTS = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +69,7 @@ class SensorAnswer:
     @property
     def unobserved(self) -> tuple[str, ...]:
         """Return the components that the motion leaves open."""
-        return tuple(name for name in COMPONENTS if self.status.get(name) == 'unobserved')
+        return tuple(name for name in DEGREES_OF_FREEDOM if self.status.get(name) == UNOBSERVED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,14 +203,8 @@ class RigResult:
     def covariance_of(self, parent: str, child: str) -> FloatArray:
         """Return (6, 6) of ``transform``, about the fixed axes of the parent."""
         a, b = self._both(parent, child)
-        L = twist_to_step(a.T_base_sensor, b.T_base_sensor)
-        rows = np.zeros((6, len(self.covariance)))
-        for sensor, sign in ((a, -1.0), (b, 1.0)):
-            if sensor.name in self.free:
-                k = 6 * self.free.index(sensor.name)
-                # A step of the sensor in the base as a twist about the base.
-                step = twist_to_step(np.eye(4), sensor.T_base_sensor)
-                rows[:, k:k + 6] += sign * L @ np.linalg.inv(step)
+        rows = twist_to_step(a.T_base_sensor, b.T_base_sensor) @ (
+            twist_rows(self, child) - twist_rows(self, parent))
         covariance: FloatArray = rows @ self.covariance @ rows.T
         return covariance
 
@@ -289,14 +287,18 @@ def is_rig(path: Path) -> bool:
 
 def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
     """Return the status of each component of a (6, 6) covariance under the settings' limits."""
-    std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    std[3:] = np.rad2deg(std[3:])
-    weak = (config.weak_translation, config.weak_rotation)
-    unobserved = (config.unobserved_translation, config.unobserved_rotation)
-    return {
-        name: ('unobserved' if std[k] > unobserved[k >= 3] else
-               'weak' if std[k] > weak[k >= 3] else 'observed')
-        for k, name in enumerate(COMPONENTS)}
+    return {name: judge(config, std, rotation=k >= 3) for k, (name, std) in enumerate(
+        zip(DEGREES_OF_FREEDOM, deviations_of(covariance).tolist(), strict=True))}
+
+
+def twist_rows(rig: RigResult, name: str) -> FloatArray:
+    """Return (6, 6 M): how a sensor moves, as a twist about its base, with the steps of a rig."""
+    rows = np.zeros((6, len(rig.covariance)))
+    if name in rig.free:
+        k = 6 * rig.free.index(name)
+        rows[:, k:k + 6] = np.linalg.inv(
+            twist_to_step(np.eye(4), rig.sensors[name].T_base_sensor))
+    return rows
 
 
 def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
@@ -307,21 +309,18 @@ def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
-    return {
-        'frame': sensor.frame,
-        'base': sensor.base,
-        'T_base_sensor': {
-            'translation': sensor.T_base_sensor[:3, 3].tolist(),
-            'rotation_xyzw': se3.rotation_to_quaternion(sensor.T_base_sensor[:3, :3]).tolist(),
-        },
+    T = sensor.T_base_sensor
+    values = {
+        **vars(sensor),
+        'T_base_sensor': {'translation': T[:3, 3].tolist(),
+                          'rotation_xyzw': se3.rotation_to_quaternion(T[:3, :3]).tolist()},
         'covariance': sensor.covariance.tolist(),
         'status': dict(sensor.status),
-        'scale': sensor.scale,
-        'scale_std': sensor.scale_std,
         'clock': asdict(sensor.clock),
         'noise': None if sensor.noise is None else asdict(sensor.noise),
-        'poses': sensor.poses,
     }
+    del values['name']
+    return values
 
 
 def _sensor_from_dict(name: str, data: Mapping[str, Any]) -> SensorAnswer:

@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -58,15 +57,13 @@ def joint_covariance(
         Whether a sensor has a unit of its own.
 
     """
-    i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    role = _roles(noise.shape[1], i, j)
+    i, j = np.array(pairs, dtype=np.intp).T
+    role = _roles(noise.shape[1], pairs)
     # What nothing tells is zero give or take, and that too belongs to the sensors.
-    untold = np.zeros((noise.shape[1], UNKNOWNS))
-    untold[:] = np.repeat(_UNTOLD, (3, 3, 1, 1))**2
+    untold = np.tile(np.repeat(_UNTOLD, (3, 3, 1, 1))**2, (noise.shape[1], 1))
     untold[np.array(free_scale, dtype=np.bool_), SCALE] = _UNTOLD_FREE_SCALE**2
     prior = 1.0 / (untold[i] + untold[j])
-    bread = np.zeros((len(i), UNKNOWNS, UNKNOWNS))
-    bread[:, range(UNKNOWNS), range(UNKNOWNS)] = prior
+    bread = prior[:, :, None] * np.eye(UNKNOWNS)
     meat = np.zeros((len(i), UNKNOWNS, len(i), UNKNOWNS))
     weighted = prior[:, None] * prior[None] * np.einsum('sp,sq,sa->pqa', role, role, untold)
     for a in range(UNKNOWNS):
@@ -81,11 +78,10 @@ def joint_covariance(
     return M
 
 
-def _roles(sensors: int, i: NDArray[np.intp], j: NDArray[np.intp]) -> FloatArray:
+def _roles(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Return (S, P): +1 where a sensor is the child of a pair, -1 where it is the parent."""
-    role = np.zeros((sensors, len(i)))
-    role[i, np.arange(len(i))], role[j, np.arange(len(j))] = -1.0, 1.0
-    return role
+    i, j = np.array(pairs, dtype=np.intp).T
+    return np.eye(sensors)[:, j] - np.eye(sensors)[:, i]
 
 
 def _add_level(
@@ -152,18 +148,16 @@ def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
 
 def assumed_correlations(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Return (P, 6, P, 6) where nothing tells whose errors they are: each sensor has half."""
-    i, j = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    role = _roles(sensors, i, j)
+    role = _roles(sensors, pairs)
     return np.einsum('pq,ab->paqb', 0.5 * role.T @ role, np.eye(6))
 
 
 def with_own_share(C: FloatArray, own: float) -> FloatArray:
     """Return the (n, n) covariance of all (P, d, P, d) answers with a share of each its own."""
-    pairs, width = C.shape[:2]
     V = (1.0 - own) * C
-    for p in range(pairs):
+    for p in range(len(C)):
         V[p, :, p] = C[p, :, p]
-    return V.reshape(pairs * width, pairs * width)
+    return V.reshape(C[:, :, 0, 0].size, -1)
 
 
 def _root(P: FloatArray) -> FloatArray:

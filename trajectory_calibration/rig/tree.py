@@ -25,6 +25,7 @@ from trajectory_calibration.rig.noise import (
     white_and_drift,
 )
 from trajectory_calibration.rig.observed import drawn_near, limits_of, open_directions
+from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,
     carried_to_stated,
@@ -58,23 +59,13 @@ _KNOWN_SCALE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """The answer of two sensors of a tree, by their numbers, and the (6, 6) that it states."""
-
-    parent: int
-    child: int
-    result: CalibrationResult
-    covariance: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Tree:
     """Sensors that pairs connect; the first is the base.
 
     Attributes
     ----------
     names : (S,).
-    pairs : (P,).
+    ends : (P,), numbers of parent and child of each pair.
     clocks : (S,).
     scales, scale_stds : (S,), metres of the base per metre of the sensor.
     answers : (P, 4, 4), in metres of the base.
@@ -82,12 +73,12 @@ class Tree:
     start : (S, 4, 4), sensors in the base, roughly.
     limits : (6,), deviations from which a direction is open.
     levels, noise, grid : what the common windows say, or nothing without trajectories.
-    sensor_noise : (S,), or nothing.
+    sensor_noise : (S,), None without trajectories.
 
     """
 
     names: tuple[str, ...]
-    pairs: tuple[Pair, ...]
+    ends: tuple[tuple[int, int], ...]
     clocks: tuple[Clock, ...]
     scales: FloatArray
     scale_stds: FloatArray
@@ -95,15 +86,10 @@ class Tree:
     C: FloatArray
     start: FloatArray
     limits: FloatArray
+    sensor_noise: tuple[SensorNoise | None, ...]
     levels: tuple[Level, ...] = ()
     noise: FloatArray | None = None
     grid: Grid | None = None
-    sensor_noise: tuple[SensorNoise, ...] = ()
-
-    @property
-    def ends(self) -> list[tuple[int, int]]:
-        """Return parent and child of each pair."""
-        return [(pair.parent, pair.child) for pair in self.pairs]
 
     def free_twists(self) -> list[FloatArray]:
         """Return (S,) the (6, K) twists about the base that even the best pair leaves open."""
@@ -119,15 +105,14 @@ class Tree:
         self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
     ) -> Fused:
         """Return consistent poses, in which the ``doubted`` sensors have no say about others."""
-        trust = np.array([
-            not doubted & {pair.parent, pair.child} for pair in self.pairs], dtype=np.bool_)
+        trust = np.array([not doubted & {*pair} for pair in self.ends], dtype=np.bool_)
         return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trust,
                     limits=self.limits)
 
 
 def build_tree(
     names: Sequence[str],
-    pairs: Sequence[Pair],
+    pairs: Sequence[PairAnswer],
     trajectories: Mapping[str, Trajectory],
     free_scale: Sequence[bool],
     settings: CalibrationConfig,
@@ -136,59 +121,60 @@ def build_tree(
 
     ``trajectories`` may be empty: then half of what a pair errs is of each of its sensors.
     """
-    ends = [(pair.parent, pair.child) for pair in pairs]
+    ends = tuple((names.index(pair.parent), names.index(pair.child)) for pair in pairs)
+    results = [pair.result for pair in pairs]
     sensors = len(names)
     stated = np.stack([pair.covariance + np.diag(ROUNDING**2) for pair in pairs])
-    raw = np.stack([pair.result.T_a_b for pair in pairs])
-    epoch_ns = _epoch(trajectories, names, pairs)
-    given = np.eye(len(pairs))
-    clocks = _clocks(sensors, pairs, given * _CLOCK_STD_S**2, epoch_ns)
-    logs = np.log([pair.result.scale for pair in pairs])
+    answers = np.stack([result.T_a_b for result in results])
+    epoch_ns = _epoch(trajectories, names, results)
+    clocks = _clocks(sensors, ends, results, _CLOCK_STD_S**2 * np.eye(len(pairs)), epoch_ns)
+    logs = np.log([result.scale for result in results])
     scales = np.exp(fuse_numbers(
         sensors, ends, logs, np.diag(np.where(logs == 0.0, _KNOWN_SCALE**2, 1.0)))[0])
-    answers, stated = _in_base_metres(raw, stated, scales, ends)
+    # Those of the pairs are in metres of their parents.
+    of_parents = scales[[i for i, _ in ends]]
+    answers[:, :3, 3] *= of_parents[:, None]
+    stated[:, :3] *= of_parents[:, None, None]
+    stated[:, :, :3] *= of_parents[:, None, None]
     limits = limits_of(settings)
-    answers, stated, start = _near_each_other(answers, stated, ends, sensors, limits)
+    start = _agree_in_what_is_open(answers, stated, ends, sensors, limits)
     levels: list[Level] = []
-    grid = None
     if all(name in trajectories for name in names):
         grid = common_grid([
             _carried(trajectories[name], clock, scale, X)
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
             round(settings.max_gap * 1e9))
         levels = levels_of(grid)
-    log_scale_stds = np.array([log_scale_std_of(pair.result) for pair in pairs])
+    log_scale_stds = np.array([log_scale_std_of(result) for result in results])
+    least = _of_base(sensors, ends, log_scale_stds)
     if len(levels) < _FEWEST_LEVELS:
         stds = fuse_numbers(
             sensors, ends, logs, np.diag(np.maximum(log_scale_stds, 0.1 * _ROUNDING)**2))[1]
-        stds = scales * np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
+        stds = scales * np.maximum(stds, least)
         stds[stds < _ROUNDING] = 0.0
-        return Tree(tuple(names), tuple(pairs), clocks, scales, stds, answers,
-                    carried_to_stated(assumed_correlations(sensors, ends), stated, start, ends),
-                    start, limits)
-    squares, counts = pair_squares(levels)
+        C = carried_to_stated(assumed_correlations(sensors, ends), stated, start, ends)
+        return Tree(tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
+                    (None,) * sensors)
     variances = sensor_variances(
-        squares, counts, np.linalg.norm(start[:, :3, 3], axis=1))
+        *pair_squares(levels), np.linalg.norm(start[:, :3, 3], axis=1))
     noise = covariances(variances, start)
     M = joint_covariance(levels, noise, ends, free_scale)
-    C = carried_to_stated(
-        correlations(M[:, TWIST][:, :, :, TWIST]), stated, start, ends)
+    C = carried_to_stated(correlations(M[:, TWIST][:, :, :, TWIST]), stated, start, ends)
     # The solvers state more or less than the windows have: clocks and scales follow them.
-    clocks = _clocks(sensors, pairs, _raised(
-        M[:, CLOCK, :, CLOCK], np.array([offset_std_of(pair.result) for pair in pairs])), epoch_ns)
+    clocks = _clocks(sensors, ends, results, _raised(
+        M[:, CLOCK, :, CLOCK], np.array([offset_std_of(result) for result in results])), epoch_ns)
     # Where no scale was looked for, it is as known as the unit of the sensors.
     looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
     logs_of, stds = fuse_numbers(sensors, ends, logs, _raised(
         M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds))
-    stds = np.maximum(stds, _of_base(sensors, pairs, log_scale_stds))
-    scales, stds = np.exp(logs_of), np.exp(logs_of) * stds
+    scales = np.exp(logs_of)
+    stds = scales * np.maximum(stds, least)
     unit = (np.abs(logs_of) < _ROUNDING) & (stds < _ROUNDING)
     scales[unit], stds[unit] = 1.0, 0.0
-    step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9 if grid is not None else 1.0
+    step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9
     return Tree(
-        tuple(names), tuple(pairs), clocks, scales, stds, answers, C, start, limits,
-        tuple(levels),
-        noise, grid, tuple(white_and_drift(levels, variances, step_s)))
+        tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
+        tuple(white_and_drift(levels, variances, step_s)), tuple(levels), noise, grid)
 
 
 def offset_std_of(result: CalibrationResult) -> float:
@@ -209,36 +195,23 @@ def _raised(V: FloatArray, stds: FloatArray) -> FloatArray:
     return V * np.outer(factor, factor)
 
 
-def _of_base(sensors: int, pairs: Sequence[Pair], stds: FloatArray) -> FloatArray:
+def _of_base(sensors: int, ends: Sequence[tuple[int, int]], stds: FloatArray) -> FloatArray:
     """Return the (S,) deviations that the pairs with the base state, 0 where none is.
 
     The noise of the base is in every pair, so other pairs make a number no surer than this.
     """
     found = np.zeros(sensors)
-    for pair, std in zip(pairs, stds, strict=True):
-        if 0 in (pair.parent, pair.child):
-            found[pair.parent or pair.child] = std
+    for pair, std in zip(ends, stds, strict=True):
+        if 0 in pair:
+            found[max(pair)] = std
     return found
 
 
-def _in_base_metres(
-    raw: FloatArray, stated: FloatArray, scales: FloatArray, ends: Sequence[tuple[int, int]],
-) -> tuple[FloatArray, FloatArray]:
-    """Return answers and covariances, which are in metres of the parents, in those of the base."""
-    answers, P = raw.copy(), stated.copy()
-    for p, (i, _) in enumerate(ends):
-        answers[p, :3, 3] *= scales[i]
-        P[p, :3] *= scales[i]
-        P[p, :, :3] *= scales[i]
-    return answers, P
-
-
-def _near_each_other(
+def _agree_in_what_is_open(
     answers: FloatArray, stated: FloatArray, ends: Sequence[tuple[int, int]], sensors: int,
     limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return answers, covariances and (S, 4, 4) sensors that agree in what is open."""
-    answers, stated = answers.copy(), stated.copy()
+) -> FloatArray:
+    """Draw answers near each other, in place, where they are open; return (S, 4, 4) sensors."""
     for p, T in enumerate(answers):
         turned = se3.from_rotation_translation(T[:3, :3], np.zeros(3))
         answers[p], stated[p] = drawn_near(T, stated[p], turned, limits)
@@ -246,7 +219,7 @@ def _near_each_other(
     for p, (i, j) in enumerate(ends):
         between = se3.inverse(start[i]) @ start[j]
         answers[p], stated[p] = drawn_near(answers[p], stated[p], between, limits)
-    return answers, stated, start
+    return start
 
 
 def _carried(
@@ -257,29 +230,28 @@ def _carried(
 
 
 def _epoch(
-    trajectories: Mapping[str, Trajectory], names: Sequence[str], pairs: Sequence[Pair],
+    trajectories: Mapping[str, Trajectory], names: Sequence[str],
+    results: Sequence[CalibrationResult],
 ) -> int:
     """Return a stamp near which the clocks are compared."""
     if names[0] in trajectories:
         stamps_ns = trajectories[names[0]].stamps_ns
         return int(stamps_ns[len(stamps_ns) // 2])
-    return next((pair.result.clock_drift_from_ns for pair in pairs if pair.result.clock_drift), 0)
+    return next((result.clock_drift_from_ns for result in results if result.clock_drift), 0)
 
 
 def _clocks(
-    sensors: int, pairs: Sequence[Pair], V: FloatArray, epoch_ns: int,
+    sensors: int, ends: Sequence[tuple[int, int]], results: Sequence[CalibrationResult],
+    V: FloatArray, epoch_ns: int,
 ) -> tuple[Clock, ...]:
     """Return the clock of each sensor against the base, consistent round every loop."""
-    ends = [(pair.parent, pair.child) for pair in pairs]
-    results = [pair.result for pair in pairs]
-    offsets, stds = fuse_numbers(sensors, ends, np.array([
-        result.time_offset_s + (result.clock_drift * (epoch_ns - result.clock_drift_from_ns) * 1e-9
-                                if result.clock_drift else 0.0)
-        for result in results]), V)
-    stds = np.maximum(stds, _of_base(sensors, pairs, np.array(
+    drifts = np.array([result.clock_drift for result in results])
+    at_epoch = [result.time_offset_s + (
+        result.clock_drift * (epoch_ns - result.clock_drift_from_ns) * 1e-9
+        if result.clock_drift else 0.0) for result in results]
+    offsets, stds = fuse_numbers(sensors, ends, np.array(at_epoch), V)
+    stds = np.maximum(stds, _of_base(sensors, ends, np.array(
         [offset_std_of(result) for result in results])))
-    drifts = fuse_numbers(
-        sensors, ends, np.array([result.clock_drift for result in results]), V)[0]
     return tuple(
-        Clock(float(offset), float(drift), epoch_ns, float(std))
-        for offset, drift, std in zip(offsets, drifts, stds, strict=True))
+        Clock(float(offset), float(drift), epoch_ns, float(std)) for offset, drift, std in zip(
+            offsets, fuse_numbers(sensors, ends, drifts, V)[0], stds, strict=True))
