@@ -25,7 +25,7 @@ import numpy as np
 from benchmarks.simulated_rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
-from trajectory_calibration.rig.noise import covariances, pair_squares, sensor_variances
+from trajectory_calibration.rig.noise import covariances, sensor_variances
 from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.rig.windows import common_grid, levels_of, Track, TWIST
 from trajectory_calibration.simulation.noise import Noise
@@ -174,22 +174,19 @@ def bound(
             track.scaled(1 / clocks[name].noise.scale).poses @ se3.inverse(x))
             for (name, track), x in zip(run.trajectories.items(), X, strict=True)]
         levels = levels_of(common_grid(tracks, 500_000_000))
-        noise = covariances(sensor_variances(
-            *pair_squares(levels), np.linalg.norm(X[:, :3, 3], axis=1)), X)
+        noise = covariances(sensor_variances(levels, X), X)
         together = np.zeros((sensors, 6, sensors, 6))
         alone = np.zeros((sensors, 6, 6))
         for level, N in zip(levels, noise, strict=True):
             W = np.linalg.inv(N)
-            patterns, which = np.unique(level.known.T, axis=0, return_inverse=True)
-            for p, pattern in enumerate(patterns):
-                J = level.jacobian[which.ravel() == p][:, :, TWIST]
-                seen = np.flatnonzero(pattern)
+            for seen, windows in level.patterns():
+                J = level.jacobian[windows][:, :, TWIST]
                 total = np.linalg.inv(W[seen].sum(axis=0)) if len(seen) else None
                 for i in seen:
                     for j in seen:
                         K = (W[i] if i == j else 0) - W[i] @ total @ W[j]
                         together[i, :, j] += np.einsum('wca,cd,wdb->ab', J, K, J)
-                    if i and pattern[0]:
+                    if i and 0 in seen:
                         alone[i] += np.einsum(
                             'wca,cd,wdb->ab', J, np.linalg.inv(N[0] + N[i]), J)
         C = np.linalg.inv(together[1:, :, 1:].reshape(6 * sensors - 6, -1))

@@ -16,7 +16,17 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from trajectory_calibration.rig.nodes import ARGUMENTS, nodes_of
+from trajectory_calibration.rig.nodes import nodes_of
+
+# Name, default and meaning of the arguments of the launch file.
+ARGUMENTS = (
+    ('rig', '', 'RIG.yaml: the base and the sensors, each with a topic or tf'),
+    ('params_file', '', 'file with the parameters of all nodes; empty: all defaults'),
+    ('result_directory', '', 'folder in which every node saves its results'),
+    ('namespace', 'rig', 'namespace of the nodes'),
+    ('use_sim_time', 'false', 'whether a bag or a simulator publishes /clock'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal'),
+)
 
 
 def _start(context):

@@ -20,9 +20,9 @@ from trajectory_calibration.rig import (
     RigResult,
     SensorSettings,
 )
-from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.contradictions import find_other_clocks
 from trajectory_calibration.rig.pairs import calibrate_pairs
+from trajectory_calibration.rig.windows import Clock
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import Sensor

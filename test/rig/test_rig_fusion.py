@@ -8,12 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.config.prior import parse_prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import fusion
 from trajectory_calibration.rig.fusion import fuse_numbers, pair_jacobian, spanning_start
-from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,
     carried_to_stated,

@@ -7,13 +7,13 @@ import pytest
 
 from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import CalibrationConfig
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.rig_comparison import comparison_data, format_comparison
 from trajectory_calibration.rig import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs
 from trajectory_calibration.rig.observed import (
     drawn_near,
-    limits_of,
     misfit,
     open_directions,
     probability,

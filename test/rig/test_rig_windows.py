@@ -9,7 +9,6 @@ from benchmarks.simulated_rig import RigScenario, simulate_rig
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig.noise import (
     covariances,
-    pair_squares,
     sensor_variances,
     white_and_drift,
 )
@@ -71,8 +70,8 @@ def test_white_noise_and_drift_of_each_sensor_are_told_apart():
     tracks, X = carried(noises, duration=200.0)
     grid = common_grid(tracks, GAP_NS)
     levels = levels_of(grid)
-    variances = sensor_variances(*pair_squares(levels), np.linalg.norm(X[:, :3, 3], axis=1))
-    found = white_and_drift(levels, variances, 0.1)
+    variances = sensor_variances(levels, X)
+    found = white_and_drift(levels, variances)
     for noise, known in zip(found[:2], noises[:2], strict=True):
         assert noise.white_m == pytest.approx(known.white, rel=0.15)
         assert noise.white_rad == pytest.approx(known.white_rotation, rel=0.15)
@@ -95,7 +94,7 @@ def test_windows_that_a_sensor_does_not_cover_are_not_its():
 def test_pairs_that_share_a_sensor_err_together():
     tracks, X = carried([Noise(white=0.01, white_rotation=0.001)] * 4)
     levels = levels_of(common_grid(tracks, GAP_NS))
-    variances = sensor_variances(*pair_squares(levels), np.linalg.norm(X[:, :3, 3], axis=1))
+    variances = sensor_variances(levels, X)
     M = joint_covariance(
         levels, covariances(variances, X), [(0, 1), (0, 2), (2, 0), (2, 3), (1, 3)], [False] * 4)
     correlation = np.einsum('paqa->pqa', M) / np.sqrt(

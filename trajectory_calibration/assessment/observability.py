@@ -223,6 +223,12 @@ def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool
     return bool(np.sum(other_a * other_b) <= _SHARED * both)
 
 
+def limits_of(config: CalibrationConfig) -> FloatArray:
+    """Return (6,) standard deviations, metres and radians, from which a direction is open."""
+    return np.repeat([max(config.unobserved_translation, 1e-3),
+                      max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
+
+
 def judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
     """Return the status of a standard deviation, metres or degrees."""
     weak, unobserved = (

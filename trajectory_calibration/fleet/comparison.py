@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.errors import counted, in_sigmas, ResultError
 from trajectory_calibration.fleet.differences import (
     aligned_step,
@@ -28,7 +29,7 @@ from trajectory_calibration.fleet.differences import (
     Difference,
     difference,
     floored,
-    open_limits,
+    in_units,
 )
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
@@ -151,8 +152,7 @@ class Comparison:
                 'names': list(item.names),
                 'translation_m': item.T_a_b[:3, 3].tolist(),
                 'rotation_xyzw': se3.rotation_to_quaternion(item.T_a_b[:3, :3]).tolist(),
-                'std_m': np.sqrt(np.diagonal(item.covariance)[:3]).tolist(),
-                'std_deg': np.rad2deg(np.sqrt(np.diagonal(item.covariance)[3:])).tolist(),
+                **in_units('std_', np.sqrt(np.diagonal(item.covariance))),
             } for item in self.stretches],
             'rows': [row(entry) for entry in self.entries],
         }
@@ -171,16 +171,13 @@ def row(entry: Entry) -> dict[str, Any]:
     cells.update(name=entry.name, failure=entry.failure)
     result = entry.result
     if result is not None:
-        rpy = np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3]))
-        std = result.std
-        cells.update(zip(COLUMNS[2:8], [*result.T_a_b[:3, 3].tolist(), *rpy.tolist()],
-                         strict=True))
+        std = np.asarray(result.std)
+        cells.update(zip(COLUMNS[2:14], np.concatenate([
+            result.T_a_b[:3, 3], np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3])),
+            std[:3], np.rad2deg(std[3:])]).tolist(), strict=True))
         # An arbitrary number is none; every angle has part in an open rotation.
         for name in result.observability.unobserved:
             cells.update({f'{name}_m': None} if name in 'xyz' else dict.fromkeys(COLUMNS[5:8]))
-        if std is not None:
-            cells.update(zip(COLUMNS[8:14], [*std[:3].tolist(), *np.rad2deg(std[3:]).tolist()],
-                             strict=True))
         cells.update(
             start_utc=result.start_utc, unobserved=', '.join(result.observability.unobserved),
             scale=result.scale, time_offset_s=result.time_offset_s,
@@ -227,7 +224,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
     covariances = [floored(np.asarray(result.covariance)) for result in results]
     # A radian counts as a metre here.
     base = results[int(np.argmin([np.trace(P) for P in covariances]))].T_a_b
-    limits = open_limits(config)
+    limits = limits_of(config)
     steps = np.array([aligned_step(base, result.T_a_b, P, limits)[0]
                       for result, P in zip(results, covariances, strict=True)])
     noise_ratio = _noise_ratio(results, covariances)
@@ -269,10 +266,7 @@ def _each_recording_once(entries: Sequence[Entry]) -> list[Entry]:
 def _noise_ratio(
     results: Sequence[CalibrationResult], covariances: Sequence[FloatArray],
 ) -> float:
-    """Return how many times neighbours differ by more than their deviations say, at least 1.
-
-    The median over the steps between neighbours: a few changes do not move it.
-    """
+    """Return how many times neighbours differ by more than their deviations say, at least 1."""
     # Fewer neighbours do not say how large the errors really are.
     if len(results) < 6:
         return 1.0
@@ -280,6 +274,7 @@ def _noise_ratio(
     for one, two in pairwise(zip((result.T_a_b for result in results), covariances, strict=True)):
         step = difference(one, two, results[0].config)
         ratios.append(step.chi_squared / quantile(step.degrees_of_freedom, 0.5))
+    # A few changes do not move the median.
     return float(np.sqrt(max(1.0, np.median(ratios))))
 
 

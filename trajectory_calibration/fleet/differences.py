@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.geometry import se3
@@ -76,10 +77,8 @@ class Difference:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data with the unit in each name."""
         return {
-            'step_m': self.step[:3].tolist(),
-            'step_deg': np.rad2deg(self.step[3:]).tolist(),
-            'std_m': self.std[:3].tolist(),
-            'std_deg': np.rad2deg(self.std[3:]).tolist(),
+            **in_units('step_', self.step),
+            **in_units('std_', self.std),
             'chi_squared': self.chi_squared,
             'degrees_of_freedom': self.degrees_of_freedom,
             'probability': self.probability,
@@ -94,22 +93,15 @@ def difference(
     config: CalibrationConfig,
     probability: float = FALSE_ALARM,
 ) -> Difference:
-    """Compare two answers.
+    """Compare two answers, a (4, 4) extrinsic and a (6, 6) covariance each, that are independent.
 
-    Parameters
-    ----------
-    start, end : tuple
-        (4, 4) extrinsic and (6, 6) covariance of each; independent of one another.
-    config : CalibrationConfig
-        Its limits say what is open (``unobserved_*``) and what is weak (``weak_*``).
-    probability : float
-        Of calling equal extrinsics different.
-
+    The limits of ``config`` say what is open (``unobserved_*``) and what is weak (``weak_*``);
+    with ``probability`` equal extrinsics are called different.
     """
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
     # The difference of two answers that are both just known is just known.
-    open_limit = np.sqrt(2.0) * open_limits(config)
+    open_limit = np.sqrt(2.0) * limits_of(config)
     weak_limit = np.sqrt(2.0) * np.repeat(
         [config.weak_translation, np.deg2rad(config.weak_rotation)], 3)
     step, closed, variances = aligned_step(T_0, T_1, P, open_limit)
@@ -128,22 +120,13 @@ def difference(
         (limit + _POWER) * std, differs, named)
 
 
-def open_limits(config: CalibrationConfig) -> FloatArray:
-    """Return (6,) standard deviations, metres and radians, beyond which a direction is open."""
-    return np.repeat([config.unobserved_translation, np.deg2rad(config.unobserved_rotation)], 3)
-
-
 def aligned_step(
     T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Move T_1 along what its covariance leaves open until it is as near to T_0 as it gets.
 
-    Returns
-    -------
-    tuple
-        The step to it (6,); rows (K, 6) of the known directions, orthonormal in units of the
-        (6,) limits; their variances (K,) in these units.
-
+    Returns the step to it (6,), rows (K, 6) of the known directions, orthonormal in units of the
+    (6,) limits, and their variances (K,) in these units.
     """
     variances, vectors = np.linalg.eigh(covariance / np.outer(limits, limits))
     known = variances <= 1.0
@@ -161,6 +144,11 @@ def aligned_step(
 def floored(covariance: FloatArray) -> FloatArray:
     """Return a (6, 6) covariance that has an inverse, also where a prior fixes a component."""
     return covariance + _LEAST**2 * np.eye(6)
+
+
+def in_units(name: str, values: FloatArray) -> dict[str, list[float]]:
+    """Return (6,) metres and radians as plain data: 'name_m', and 'name_deg' in degrees."""
+    return {f'{name}m': values[:3].tolist(), f'{name}deg': np.rad2deg(values[3:]).tolist()}
 
 
 def describe_step(step: FloatArray, axes: Iterable[int], sign: str = '+') -> str:

@@ -62,13 +62,8 @@ class Executor:
     ) -> Iterator[_Result]:
         """Yield the results in the order of the items, each as soon as those before it are in.
 
-        ``function`` is a function of a module: processes import it.
-
-        Raises
-        ------
-        ConfigError
-            The backend is not installed, or its cluster cannot be reached.
-
+        ``function`` is one of a module, which processes import. Raises ConfigError where the
+        backend is not installed, or its cluster cannot be reached.
         """
         return self._run('generator', function, ((item,) for item in items))
 

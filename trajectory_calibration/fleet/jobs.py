@@ -82,22 +82,11 @@ def read_jobs(
 ) -> list[Job]:
     """Return the jobs of a YAML file, or one for each bag or folder that patterns match.
 
-    Parameters
-    ----------
-    specifications : sequence of str
-        One file ``*.yaml`` with a list ``jobs``; or paths and patterns of bags, or of folders
-        that hold the files ``a`` and ``b``.
-    a, b : str, optional
-        Topics of every bag, or names of the files in every folder. In a YAML file ``a`` and
-        ``b`` beside the jobs, or of one job, come first.
-    config : CalibrationConfig
-        For all; changed by ``config`` in the YAML file, then by that of a job.
-
-    Raises
-    ------
-    ConfigError
-        No jobs, a key that is unknown, or sensors that are not named.
-
+    ``specifications`` are one file ``*.yaml`` with a list ``jobs``, or paths and patterns of bags,
+    or of folders that hold the files ``a`` and ``b``. These two are topics, or names of files; in
+    a YAML file ``a`` and ``b`` beside the jobs, or of one job, come first. ``config`` is for all,
+    changed by ``config`` in the YAML file, then by that of a job. Raises ConfigError: no jobs, a
+    key that is unknown, or sensors that are not named.
     """
     if len(specifications) == 1 and Path(specifications[0]).suffix in ('.yaml', '.yml'):
         jobs = _from_yaml(Path(specifications[0]), a, b, config)
@@ -210,14 +199,8 @@ def run_jobs(
 ) -> Iterator[Entry]:
     """Calibrate what has no result in the folder yet; yield every job as it is done.
 
-    Each result is a file ``Job.file_name``, written as soon as it is there. Jobs without an
-    answer are tried again the next time.
-
-    Raises
-    ------
-    ResultError
-        The folder cannot be written.
-
+    Each result is a file ``Job.file_name``, written as soon as it is there. Jobs without an answer
+    are tried again the next time. Raises ResultError where the folder cannot be written.
     """
     make_folder(folder, ResultError)
     saved = [Entry(job.name, _saved(folder / job.file_name)) for job in jobs]

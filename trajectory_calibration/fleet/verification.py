@@ -22,6 +22,7 @@ from trajectory_calibration.fleet.differences import (
     describe_step,
     Difference,
     difference,
+    in_units,
 )
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
@@ -115,9 +116,7 @@ class Verification:
             'status': dict(self.status),
             'needs': self.needs,
             'difference': None if found is None else found.to_dict(),
-            'resolution': None if found is None else {
-                'm': found.resolution[:3].tolist(),
-                'deg': np.rad2deg(found.resolution[3:]).tolist()},
+            'resolution': None if found is None else in_units('', found.resolution),
             'notes': list(self.notes),
             'result': None if self.result is None else self.result.to_dict(),
         }
@@ -166,32 +165,35 @@ def verify(
                           f'{result.frame_a} and {result.frame_b}; exchange A and B')
     notes = () if frames == (result.frame_a, result.frame_b) else (
         f'data of {" and ".join(frames)}, saved result of {result.frame_a} and {result.frame_b}',)
+    status = {
+        name: NOT_KNOWN if result.observability.status[name] == UNOBSERVED else CANNOT_TELL
+        for name in DEGREES_OF_FREEDOM}
+
+    def cannot_tell(needs: str) -> Verification:
+        return Verification(CANNOT_TELL, status, None, needs, None, notes)
+
     if result.recording == recording_of(trajectory_a, trajectory_b):
-        return _without_answer(
-            result, 'another recording: the saved result was made of this one', notes)
+        return cannot_tell('another recording: the saved result was made of this one')
     config = replace(
         config or result.config, prior_translation='', prior_translation_std='',
         prior_rotation='', prior_rotation_std='', allow_unobserved=True)
     try:
         found = calibrate(trajectory_a, trajectory_b, config)
     except (AssociationError, MotionError, SolverError) as error:
-        return _without_answer(result, str(error), notes)
+        return cannot_tell(str(error))
     if found.covariance is None:
-        return _without_answer(result, 'the solver gave no covariance', notes)
+        return cannot_tell('the solver gave no covariance')
     old, new = (result.T_a_b, result.covariance), (found.T_a_b, found.covariance)
     step = difference(old, new, config, probability)
     if step.differs and _is_inverse(old, new, config):
         raise ResultError(
             'are A and B exchanged? The new answer is the inverse of the saved one. Give first '
             f'the trajectory of {result.frame_a}, then that of {result.frame_b}')
-    status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         if step.differs and k in step.named:
             status[name] = MOVED
-        elif result.observability.status[name] == UNOBSERVED:
-            status[name] = NOT_KNOWN
-        else:
-            status[name] = HOLDS if step.testable[k] else CANNOT_TELL
+        elif step.testable[k] and status[name] != NOT_KNOWN:
+            status[name] = HOLDS
     # Where the saved result knows nothing, nothing holds.
     verdict = (MOVED if step.differs else
                HOLDS if {*status.values()} - {NOT_KNOWN} == {HOLDS} else CANNOT_TELL)
@@ -207,14 +209,6 @@ def _is_inverse(
     J = se3.inverse_step(old[0])
     step = difference((se3.inverse(old[0]), J @ old[1] @ J.T), new, config)
     return step.degrees_of_freedom >= _FEWEST_DIRECTIONS and not step.differs
-
-
-def _without_answer(
-    result: CalibrationResult, needs: str, notes: tuple[str, ...],
-) -> Verification:
-    status = {name: NOT_KNOWN if known == UNOBSERVED else CANNOT_TELL
-              for name, known in result.observability.status.items()}
-    return Verification(CANNOT_TELL, status, None, needs, None, notes)
 
 
 def _needs(observability: Observability) -> str:

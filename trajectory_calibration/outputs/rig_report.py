@@ -9,9 +9,9 @@ from html import escape
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted
-from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
@@ -29,9 +29,8 @@ from trajectory_calibration.outputs.report.text import (
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import sensor_rows
-from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.result import PairReport, RigResult
-from trajectory_calibration.rig.windows import common_grid, Grid, Track
+from trajectory_calibration.rig.windows import common_grid, Grid, track_of
 
 _WIDTH, _HEIGHT = 360, 260
 
@@ -219,15 +218,11 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:
     names = [name for name in rig.trees[rig.base] if name in trajectories]
     if len(names) < 2:
         return '<p>The tracks were not given.</p>'
-    grid = common_grid([_carried(rig, name, trajectories[name]) for name in names], _MAX_GAP_NS)
+    grid = common_grid([
+        track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
+                 rig.sensors[name].T_base_sensor) for name in names], _MAX_GAP_NS)
     laid = _laid(grid)
     return _from_above(rig, names, laid) + _apart(names, laid, grid)
-
-
-def _carried(rig: RigResult, name: str, trajectory: Trajectory) -> Track:
-    sensor = rig.sensors[name]
-    return Track(sensor.clock.apply(trajectory.stamps_ns),
-                 trajectory.scaled(sensor.scale).poses @ se3.inverse(sensor.T_base_sensor))
 
 
 def _laid(grid: Grid) -> FloatArray:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +18,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
-from trajectory_calibration.rig.clocks import Clock
-from trajectory_calibration.rig.doubts import (
+from trajectory_calibration.rig.contradictions import (
     against_priors,
     block_of,
     doubt,
@@ -42,6 +42,7 @@ from trajectory_calibration.rig.result import (
 )
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.tree import build_tree, log_scale_std_of, offset_std_of
+from trajectory_calibration.rig.windows import Clock
 
 # The finding of each kind of contradiction.
 _CODES = {
@@ -53,10 +54,8 @@ _ASSUMED = Finding('rig-shared-noise', (
     'trajectories, or these are too short. To measure it, run rig RIG.yaml on a longer drive'
 ))
 
-# What a driver does about a component that is open.
-_SHOWN_BY = {
-    'x': 'curves', 'y': 'curves', 'z': 'ramps and banks', 'rotation x': 'ramps and banks',
-    'rotation y': 'ramps and banks', 'rotation z': 'curves'}
+# Components that curves show; ramps and banks show the others.
+_SHOWN_BY_CURVES = ('x', 'y', 'rotation z')
 
 
 def calibrate_rig(
@@ -74,14 +73,14 @@ def calibrate_rig(
     Returns
     -------
     RigResult
-        With the pose of every sensor that shares motion with others, by trees where not all do.
-        The answer of two sensors is that of ``calibrate``.
+        Of every sensor that shares motion with others, by trees where not all do. The answer of
+        two sensors is that of ``calibrate``.
 
     Raises
     ------
     CalibrationError
-        One of its subclasses: ConfigError (names that do not fit), TrajectoryError, or the error
-        of a pair where no two sensors give an answer.
+        ConfigError for names that do not fit, TrajectoryError, or the error of a pair where no two
+        sensors give an answer.
 
     """
     config = config or RigConfig()
@@ -109,13 +108,8 @@ def fuse_results(
     """Make one rig of saved answers of pairs; sensors are named by their frames.
 
     Without trajectories nobody knows what the pairs share: each sensor is taken to have half of
-    what its pairs err, and a finding says so.
-
-    Raises
-    ------
-    ConfigError
-        No results, a pair that is there twice, or a base that none of them has.
-
+    what its pairs err, and a finding says so. Raises ConfigError: no results, a pair that is there
+    twice, or a base that none of them has.
     """
     config = config or RigConfig()
     if not results:
@@ -147,10 +141,7 @@ def _of_two(
 ) -> RigResult:
     """Return the answer of ``calibrate`` as a rig."""
     settings = config.of(other)
-    calibration = replace(
-        config.calibration, prior_translation=settings.prior_translation,
-        prior_translation_std=settings.prior_translation_std,
-        prior_rotation=settings.prior_rotation, prior_rotation_std=settings.prior_rotation_std)
+    calibration = replace(config.calibration, **settings.given)
     if settings.scale == 'free':
         calibration = replace(calibration, scale_mode='estimate', scale=1.0)
     try:
@@ -160,8 +151,8 @@ def _of_two(
     covariance = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
     sensors = {
         base: _answer(base, base, np.eye(4), np.zeros((6, 6)), config, trajectories),
-        other: replace(
-            _answer(other, base, result.T_a_b, covariance, config, trajectories),
+        other: _answer(
+            other, base, result.T_a_b, covariance, config, trajectories,
             status=dict(result.observability.status), scale=result.scale,
             scale_std=result.scale * log_scale_std_of(result),
             clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
@@ -232,13 +223,12 @@ def _solve_group(
     rows = [row for k in kept for row in range(6 * k - 6, 6 * k)]
     sensors = {}
     for k in (0, *kept):
-        answer = _answer(
-            group[k], group[0], fused.X[k], block_of(fused, k), config, trajectories)
-        by_motion = judged(block_of(without, k), config.calibration)
-        sensors[group[k]] = replace(
-            answer,
-            status={name: 'prior' if by_motion[name] == 'unobserved' != status else status
-                    for name, status in answer.status.items()},
+        status, by_motion = (
+            judged(block_of(each, k), config.calibration) for each in (fused, without))
+        sensors[group[k]] = _answer(
+            group[k], group[0], fused.X[k], block_of(fused, k), config, trajectories,
+            status={name: 'prior' if by_motion[name] == 'unobserved' != value else value
+                    for name, value in status.items()},
             scale=float(tree.scales[k]), scale_std=float(tree.scale_stds[k]),
             clock=tree.clocks[k], noise=tree.sensor_noise[k])
     reports = tuple(
@@ -260,14 +250,14 @@ def _solve_group(
 
 def _answer(
     name: str, base: str, X: FloatArray, covariance: FloatArray, config: RigConfig,
-    trajectories: Mapping[str, Trajectory],
+    trajectories: Mapping[str, Trajectory], **known: Any,
 ) -> SensorAnswer:
     trajectory = trajectories.get(name)
-    frame = config.of(name).frame or (name if trajectory is None else trajectory.sensor_frame)
-    return SensorAnswer(
-        name=name, frame=frame, base=base, T_base_sensor=X, covariance=covariance,
-        status=judged(covariance, config.calibration),
-        poses=0 if trajectory is None else len(trajectory))
+    return SensorAnswer(name=name, base=base, T_base_sensor=X, covariance=covariance, **{
+        'frame': config.of(name).frame or (name if trajectory is None else
+                                           trajectory.sensor_frame),
+        'status': judged(covariance, config.calibration),
+        'poses': 0 if trajectory is None else len(trajectory), **known})
 
 
 def _findings(
@@ -288,7 +278,8 @@ def _findings(
             open_.setdefault(component, []).append(sensor.name)
     found += [
         Finding('direction-unobserved', (
-            f'{component} of {", ".join(names)} unobservable. Drive {_SHOWN_BY[component]}, or '
+            f'{component} of {", ".join(names)} unobservable. Drive '
+            f'{"curves" if component in _SHOWN_BY_CURVES else "ramps and banks"}, or '
             'measure it and write prior_translation or prior_rotation (and its _std) below the '
             'sensor in RIG.yaml'), {'component': component, 'sensors': names})
         for component, names in open_.items()]

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.contradictions import describe_step
-from trajectory_calibration.rig.observed import limits_of, misfit, probability, whitener
+from trajectory_calibration.rig.observed import misfit, probability, whitener
 from trajectory_calibration.rig.result import RigResult, twist_rows
 from trajectory_calibration.rig.shared_noise import twist_to_step
 
@@ -88,13 +89,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     """Compare two rigs; a sensor is named only as far as the others do not explain it.
 
     The sensor whose own move explains most is taken out first, and so on. Where all sensors seem
-    to move alike, it is the base that did.
-
-    Raises
-    ------
-    ResultError
-        Fewer than two sensors in common.
-
+    to move alike, it is the base that did. Raises ResultError for fewer than two common sensors.
     """
     base = old.base
     common = [name for name in old.trees.get(base, ())

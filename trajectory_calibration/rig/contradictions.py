@@ -1,24 +1,28 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which sensor does not fit the others, and how sure that is."""
+"""Which sensors do not fit the others, how sure that is, and what to do."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.clocks import Clock
+from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.observed import probability, without
+from trajectory_calibration.rig.pairs import PairFailure
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
-from trajectory_calibration.rig.windows import Grid, Level, TWIST
+from trajectory_calibration.rig.windows import Clock, Grid, Level, TWIST
+
+# Contradictions that are looked for one after the other, each without the ones before.
+_MOST_DOUBTED = 3
 
 # Blocks that a drive is cut into, at least, to find when a mount moved.
 _BLOCKS = 12
@@ -38,7 +42,123 @@ _SAME_CLOCK_S = 0.01
 _OTHER_CLOCK_S = 0.02
 _SURE = 5.0
 
-_Numbers = NDArray[np.floating[Any]]
+
+def unconnected(
+    groups: Sequence[Sequence[str]], failures: Sequence[PairFailure],
+) -> list[Contradiction]:
+    """Name the sensors that share no answer with any other."""
+    found = []
+    for name in (group[0] for group in groups if len(group) == 1):
+        own = [pair for pair in failures if name in (pair.parent, pair.child)]
+        if all(pair.no_common_time for pair in own):
+            kind, text = 'time', (
+                f'{name} shares no time with any other sensor: check its clock and its file, or '
+                'raise max_time_offset')
+        else:
+            reason = next(pair.reason for pair in own if not pair.no_common_time)
+            kind, text = 'vehicle', (
+                f'{name} does not move as the other sensors do: check its topic or file, and '
+                f'that it rides on this vehicle ({reason})')
+        found.append(Contradiction(name, kind, text, left_out=True))
+    return found
+
+
+def doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
+    """Return the sensors that contradict the rest, one after the other, and what was found."""
+    doubted: frozenset[int] = frozenset()
+    found: list[Contradiction] = []
+    for _ in range(_MOST_DOUBTED if len(tree.names) > 2 else 0):
+        worst = (None if doubted else find_moved(tree)) or _worst_in_loops(tree, doubted)
+        if worst is None:
+            break
+        sensor, item = worst
+        found.append(item)
+        if sensor is None:
+            break
+        doubted |= {sensor}
+    return doubted, found
+
+
+def _worst_in_loops(
+    tree: Tree, doubted: frozenset[int],
+) -> tuple[int | None, Contradiction] | None:
+    """Return the sensor without which the loops close best, where they do not close."""
+    now = tree.fuse(doubted=doubted)
+    p_now = probability(now.chi_squared, now.degrees)
+    if p_now >= FALSE_ALARM:
+        return None
+    left = [k for k in range(len(tree.names)) if k not in doubted]
+    tried = []
+    for k in left:
+        rest = tree.fuse(doubted=doubted | {k})
+        # Without the culprit the others agree; of three, nobody is left to agree.
+        if rest.degrees > 0:
+            tried.append((
+                probability(rest.chi_squared, rest.degrees),
+                now.chi_squared - rest.chi_squared, now.degrees - rest.degrees, k))
+    if not tried:
+        names = ', '.join(tree.names[k] for k in left)
+        return None, Contradiction(
+            tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
+            'three sensors the wrong one cannot be named: add a sensor, or check all',
+            now.chi_squared, now.degrees, p_now)
+    p_rest, gain, degrees, k = max(tried, key=lambda item: item[:2])
+    return k, Contradiction(
+        tree.names[k], 'loops', f'the pairs of {tree.names[k]} contradict those of the others '
+        f'(which agree with p = {p_rest:.2g} without it): check its frame, its units and its data',
+        gain, degrees, min(1.0, probability(gain, degrees) * len(tried)))
+
+
+def against_priors(
+    tree: Tree, fused: Fused, priors: Mapping[int, Prior],
+) -> list[Contradiction]:
+    """Name the sensors whose prior is far from what the motion says."""
+    found = []
+    for k, prior in priors.items():
+        known = np.isfinite(prior.std)
+        P = block_of(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
+        deviation = prior.deviation(fused.X[k])[known]
+        scale = np.sqrt(np.diagonal(P))
+        worst = float(np.abs(deviation / scale).max())
+        # Of the largest of a few normal deviations, so that the number of components is free.
+        p_value = min(1.0, len(scale) * float(np.exp(-0.5 * worst**2)))
+        if p_value < FALSE_ALARM:
+            name = tree.names[k]
+            found.append(Contradiction(
+                name, 'prior', f'the prior of {name} is {worst:.0f} standard deviations from what '
+                'the motion says: one of them is wrong, and the answer is between',
+                worst**2, 1, p_value))
+    return found
+
+
+def other_clocks(tree: Tree) -> list[Contradiction]:
+    """Name the sensors whose clock is off that of most others."""
+    found = []
+    for k, late_s in find_other_clocks(tree.clocks, tree.clocks[0].epoch_ns):
+        name = tree.names[k]
+        word = 'late' if late_s > 0 else 'early'
+        std = max(tree.clocks[k].offset_std_s, 1e-6)
+        chi_squared = (late_s / std)**2
+        found.append(Contradiction(
+            name, 'clock', f'the stamps of {name} are {1e3 * abs(late_s):.0f} ms {word} against '
+            f'those of the others (corrected): check its driver',
+            chi_squared, 1, float(np.exp(-0.5 * min(chi_squared, 1400.0)))))
+    return found
+
+
+def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int, float]]:
+    """Return the sensors whose clock is off that of most others, and by how many seconds late."""
+    seconds = np.array([clock.at(stamp_ns) for clock in clocks])
+    sure = np.array([clock.offset_std_s for clock in clocks])
+    agree = np.abs(seconds[:, None] - seconds) <= _SAME_CLOCK_S
+    centre = int(np.argmax(agree.sum(axis=1)))
+    same = agree[centre]
+    if np.count_nonzero(same) < max(2, len(clocks) / 2 + 0.5):
+        return []
+    usual = float(np.median(seconds[same]))
+    off = seconds - usual
+    return [(int(k), -float(off[k])) for k in np.flatnonzero(
+        (np.abs(off) > _OTHER_CLOCK_S) & (np.abs(off) > _SURE * sure))]
 
 
 def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
@@ -52,7 +172,7 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
     levels, noise, grid = tree.levels, tree.noise, tree.grid
     if noise is None or grid is None:
         return None
-    count = int(levels[0].last[-1]) + 1
+    count = 2 * levels[0].known.shape[1]
     size = 2 ** max(1, int(np.log2(count / _BLOCKS)))
     blocks = count // size
     if blocks < 2 * _AROUND:
@@ -96,11 +216,7 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
 
 
 def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return (S, K', 6) steps of each sensor against the first, and the (K',) samples.
-
-    A step is the mean of the ``half`` samples from a sample on less that of those before, as a
-    twist about the base.
-    """
+    """Return (S, K', 6) steps of each sensor against the first, and the (K',) samples."""
     count, width = len(grid.stamps_ns), 4 * half
     starts = np.arange(0, count - width + 1, 2 * half)
     index = starts[:, None] + np.arange(width)
@@ -119,17 +235,12 @@ def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
 def _jumps(
     noise: FloatArray, steps: FloatArray, samples: NDArray[np.intp], sensor: int, half: int,
 ) -> list[tuple[int, FloatArray]]:
-    """Return where one sensor jumps most against all others, and the (6,) twists of the base.
-
-    ``noise`` (S, 6, 6) are the covariances of the steps.
-    """
-    others = [s for s in range(len(noise)) if s != sensor]
-    W = np.linalg.inv(noise[others])
-    of_others = np.linalg.inv(W.sum(axis=0))
-    step = steps[sensor] - _mean(of_others, W, steps[others])
-    size = np.sum(step @ np.linalg.inv(noise[sensor] + of_others) * step, axis=1)
-    found: list[tuple[int, FloatArray]] = []
-    while len(found) < _JUMPS and len(size):
+    """Return where one sensor jumps most against all others, and the (6,) twists of the base."""
+    others = np.flatnonzero(np.arange(len(noise)) != sensor)
+    step, weight = _against(others, noise, steps, sensor)
+    size = np.sum(step @ weight * step, axis=1)
+    found = []
+    for _ in range(_JUMPS if len(size) else 0):
         most = int(np.argmax(size))
         if size[most] < _LARGE_JUMP:
             break
@@ -144,35 +255,32 @@ def _blocks(
     """Return (B, 6) scores and (B, 6, 6) information of one sensor against all others."""
     score, information = np.zeros((blocks, 6)), np.zeros((blocks, 6, 6))
     for level, N in zip(levels, noise, strict=True):
-        if level.last[0] - level.first[0] >= size:
+        if 2 * level.samples > size:
             break
-        W = np.linalg.inv(N)
-        patterns, which = np.unique(level.known.T, axis=0, return_inverse=True)
-        for p, pattern in enumerate(patterns):
-            others = np.flatnonzero(pattern)
-            others = others[others != sensor]
-            if not pattern[sensor] or len(others) < 2:
+        for seen, windows in level.patterns():
+            others = seen[seen != sensor]
+            if sensor not in seen or len(others) < 2:
                 continue
-            windows = np.flatnonzero(which.ravel() == p)
-            of_others = np.linalg.inv(W[others].sum(axis=0))
-            apart = level.differences[sensor, windows] - _mean(
-                of_others, W[others], level.differences[others][:, windows])
-            K = np.linalg.inv(N[sensor] + of_others)
+            apart, K = _against(others, N, level.differences[:, windows], sensor)
             # A jump of a track is no move of a mount.
             squared = np.sum(apart @ K * apart, axis=1) / 6
             trust = np.minimum(1.0, 4.0 / np.maximum(squared, 1e-12))
             J = level.jacobian[windows][:, :, TWIST]
             weighted = trust[:, None, None] * np.swapaxes(J, 1, 2) @ K
-            block = np.minimum(level.first[windows] // size, blocks - 1)
+            block = np.minimum(2 * level.samples * windows // size, blocks - 1)
             np.add.at(score, block, -(weighted @ apart[:, :, None])[:, :, 0])
             np.add.at(information, block, weighted @ J)
     return score, information
 
 
-def _mean(P: _Numbers, W: _Numbers, values: FloatArray) -> FloatArray:
-    """Return (W, 6) means of (S, W, 6) values with (S, 6, 6) weights, whose sum has inverse P."""
-    mean: FloatArray = (values @ (P @ W).swapaxes(1, 2)).sum(axis=0)
-    return mean
+def _against(
+    others: NDArray[np.intp], noise: FloatArray, values: FloatArray, sensor: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far (S, W, 6) values of a sensor are from the mean of others, and the weight."""
+    W = np.linalg.inv(noise[others])
+    P = np.linalg.inv(W.sum(axis=0))
+    mean = (values[others] @ (P @ W).swapaxes(1, 2)).sum(axis=0)
+    return values[sensor] - mean, np.linalg.inv(noise[sensor] + P)
 
 
 def _change(
@@ -198,26 +306,15 @@ def _change(
     return x[1] - x[0], without(weight, free)
 
 
-def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int, float]]:
-    """Return the sensors whose clock is off that of most others, and by how many seconds.
-
-    Positive: the stamps are late. Only where most sensors share one clock.
-    """
-    seconds = np.array([clock.at(stamp_ns) for clock in clocks])
-    sure = np.array([clock.offset_std_s for clock in clocks])
-    agree = np.abs(seconds[:, None] - seconds) <= _SAME_CLOCK_S
-    centre = int(np.argmax(agree.sum(axis=1)))
-    same = agree[centre]
-    if np.count_nonzero(same) < max(2, len(clocks) / 2 + 0.5):
-        return []
-    usual = float(np.median(seconds[same]))
-    off = seconds - usual
-    return [(int(k), -float(off[k])) for k in np.flatnonzero(
-        (np.abs(off) > _OTHER_CLOCK_S) & (np.abs(off) > _SURE * sure))]
-
-
 def describe_step(step: FloatArray) -> str:
     """Return a (6,) step in words: how far, and by what angle."""
     metres = float(np.linalg.norm(step[:3]))
     degrees = float(np.rad2deg(np.linalg.norm(step[3:])))
     return f'{100 * metres:.2g} cm and {degrees:.2g} deg'
+
+
+def block_of(fused: Fused, k: int) -> FloatArray:
+    """Return the (6, 6) covariance of sensor k of a tree; zero of its base."""
+    if k == 0:
+        return np.zeros((6, 6))
+    return fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]

@@ -11,7 +11,7 @@ from typing import Any
 
 from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.rig.settings import RigConfig, SensorSettings
+from trajectory_calibration.rig.settings import require_known, RigConfig, SensorSettings
 from trajectory_calibration.sources.inputs import InputOptions
 from trajectory_calibration.sources.transforms import TF_PREFIX
 
@@ -45,11 +45,7 @@ class RigDescription:
     def load(cls, path: Path) -> RigDescription:
         """Read a file; paths in it are relative to its folder.
 
-        Raises
-        ------
-        ConfigError
-            No such file, no YAML, an unknown key, or a sensor without a source.
-
+        Raises ConfigError: no such file, no YAML, an unknown key, or a sensor without a source.
         """
         data = read_yaml(path, 'the description of a rig', ConfigError)
         if not isinstance(data, Mapping):
@@ -62,9 +58,7 @@ class RigDescription:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path = Path()) -> RigDescription:
         """Build a description from plain data; raises as ``load``."""
-        for key in data:
-            if key not in _KEYS:
-                raise ConfigError(f'key {key!r} is unknown; known are {", ".join(_KEYS)}')
+        require_known(data, _KEYS, '')
         sensors = data.get('sensors')
         if not isinstance(sensors, Mapping) or len(sensors) < 2:
             raise ConfigError('sensors is needed, with two sensors or more below it')
@@ -77,21 +71,18 @@ class RigDescription:
             known[str(name)] = {
                 key: value for key, value in values.items() if key in _KNOWN_OF_SENSOR}
         bags = data.get('bags', ())
-        if isinstance(bags, str):
-            bags = (bags,)
-        config = {key: data[key] for key in _RIG_KEYS if key in data}
         return cls(
-            inputs, tuple(folder / str(bag) for bag in bags),
+            inputs,
+            tuple(folder / str(bag) for bag in ([bags] if isinstance(bags, str) else bags)),
             RigConfig.from_dict({
-                **config, 'sensors': known, 'calibration': data.get('settings') or {}}))
+                **{key: data[key] for key in _RIG_KEYS if key in data}, 'sensors': known,
+                'calibration': data.get('settings') or {}}))
 
 
 def _input(name: str, values: Mapping[str, Any], folder: Path) -> tuple[str, InputOptions]:
-    known = (*_SOURCES, *_READING, *_KNOWN_OF_SENSOR)
-    for key in values:
-        if key not in known:
-            raise ConfigError(f'key {key!r} of sensor {name} is unknown; known are '
-                              f'{", ".join(dict.fromkeys(known))}')
+    # The name of the frame is a setting of both.
+    known = dict.fromkeys((*_SOURCES, *_READING, *_KNOWN_OF_SENSOR))
+    require_known(values, list(known), f' of sensor {name}')
     given = [key for key in _SOURCES if key in values]
     if len(given) != 1:
         raise ConfigError(

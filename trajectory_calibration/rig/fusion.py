@@ -78,22 +78,12 @@ def fuse(
 ) -> Fused:
     """Return the rig that is closest to the answers of its pairs.
 
-    Parameters
-    ----------
-    start : (S, 4, 4)
-        Sensors in the base, roughly; the first is the base.
-    pairs : (P,) of parent and child
-        The graph is connected.
-    answers : (P, 4, 4)
-        Pose of the child in the parent, metres of the base.
-    C : (P, 6, P, 6)
-        Their joint covariance.
-    limits : (6,)
-        Deviations from which a direction is open (``observed.py``) and no loop is judged by it.
-    priors : mapping of int to Prior, optional
-        Of the poses in the base, by sensor but the first.
-    trusted : (P,) bool, optional
-        The others have hardly any weight: they tell only what nothing else does.
+    ``start`` (S, 4, 4) are the sensors in the base, which is the first, roughly; ``pairs`` (P,)
+    parent and child, in a connected graph; ``answers`` (P, 4, 4) the child in the parent, metres
+    of the base; ``C`` (P, 6, P, 6) their joint covariance. A direction is open, and no loop is
+    judged by it, from ``limits`` (6,) on. ``priors`` are of the poses in the base, by sensor but
+    the first. Pairs that are not ``trusted`` (P,) have hardly any weight: they tell only what
+    nothing else does.
 
     Raises
     ------

@@ -17,18 +17,6 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.rig.description import RigDescription
 
-_PRIORS = ('prior_translation', 'prior_translation_std', 'prior_rotation', 'prior_rotation_std')
-
-# Name, default and meaning of the arguments of the launch file.
-ARGUMENTS = (
-    ('rig', '', 'RIG.yaml: the base and the sensors, each with a topic or tf'),
-    ('params_file', '', 'file with the parameters of all nodes; empty: all defaults'),
-    ('result_directory', '', 'folder in which every node saves its results'),
-    ('namespace', 'rig', 'namespace of the nodes'),
-    ('use_sim_time', 'false', 'whether a bag or a simulator publishes /clock'),
-    ('log_level', 'info', 'debug, info, warn, error or fatal'),
-)
-
 
 @dataclass(frozen=True)
 class NodeSettings:
@@ -40,14 +28,7 @@ class NodeSettings:
 
 def nodes_of(path: Path, result_directory: str = '', *, sim_time: bool = False) -> list[
         NodeSettings]:
-    """Return the nodes of RIG.yaml: every sensor as child of the base.
-
-    Raises
-    ------
-    ConfigError
-        As ``RigDescription.load``, or a sensor that has a file.
-
-    """
+    """Return the nodes of RIG.yaml, every sensor as child of the base; ConfigError for files."""
     description = RigDescription.load(path)
     base = description.config.base or next(iter(description.inputs))
     if base not in description.inputs:
@@ -63,8 +44,7 @@ def nodes_of(path: Path, result_directory: str = '', *, sim_time: bool = False) 
         if name == base:
             continue
         settings = description.config.of(name)
-        own: dict[str, Any] = {prior: getattr(settings, prior) for prior in _PRIORS
-                               if getattr(settings, prior)}
+        own: dict[str, Any] = {**settings.given}
         if settings.scale == 'free':
             own['scale_mode'] = 'estimate'
         if result_directory:

@@ -10,6 +10,7 @@ the noise is halved between them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
@@ -51,48 +52,35 @@ class SensorNoise:
     drift_rad: float
 
 
-def pair_squares(levels: list[Level]) -> tuple[FloatArray, FloatArray]:
-    """Return what every two sensors differ by, and how many windows say so.
+def sensor_variances(levels: Sequence[Level], X: FloatArray) -> FloatArray:
+    """Return the (T, S, 2) variances of one axis of the differences, translation and rotation.
 
-    Returns
-    -------
-    squares : (T, 2, S, S)
-        Mean square of one axis of a difference, translation and rotation; NaN where unknown.
-    counts : (T, S, S)
-        Windows.
-
+    ``X`` (S, 4, 4) are the sensors in the base: a rotation of a sensor moves the base by its
+    distance times the angle.
     """
-    sensors = levels[0].differences.shape[0]
-    squares = np.full((len(levels), 2, sensors, sensors), np.nan)
-    counts = np.zeros((len(levels), sensors, sensors))
-    for level, square, count in zip(levels, squares, counts, strict=True):
-        for i, j in combinations(range(sensors), 2):
-            both = level.known[i] & level.known[j]
-            count[i, j] = count[j, i] = np.count_nonzero(both)
-            if count[i, j] >= 2:
-                apart = level.differences[j, both] - level.differences[i, both]
-                square[:, i, j] = square[:, j, i] = [
-                    _variance(np.sum(part**2, axis=1)) for part in np.split(apart, 2, axis=1)]
-    return squares, counts
-
-
-def sensor_variances(
-    squares: FloatArray, counts: FloatArray, lever: FloatArray,
-) -> FloatArray:
-    """Return the (T, S, 2) variances of one axis of the differences of each sensor.
-
-    ``lever`` (S,) are the distances of the sensors from the base, metres: a rotation of a sensor
-    moves the base by as much times its angle.
-    """
-    levels, _, sensors, _ = squares.shape
-    found = np.full((levels, sensors, 2), np.nan)
-    for t in range(levels):
-        rotation = _components(squares[t, 1], counts[t])
-        swung = 2 / 3 * lever**2 * rotation
-        sums = squares[t, 0] - np.nan_to_num(swung)[:, None] - np.nan_to_num(swung)
-        translation = _components(np.maximum(sums, _FLOOR * squares[t, 0]), counts[t])
-        found[t] = np.column_stack([translation, rotation])
+    lever = np.linalg.norm(X[:, :3, 3], axis=1)
+    found = np.empty((len(levels), len(X), 2))
+    for level, variances in zip(levels, found, strict=True):
+        (apart, turned), counts = _pair_squares(level)
+        variances[:, 1] = _components(turned, counts)
+        swung = 2 / 3 * lever**2 * np.nan_to_num(variances[:, 1])
+        sums = np.maximum(apart - swung[:, None] - swung, _FLOOR * apart)
+        variances[:, 0] = _components(sums, counts)
     return _continued(found)
+
+
+def _pair_squares(level: Level) -> tuple[FloatArray, FloatArray]:
+    """Return (2, S, S) mean squares of one axis of what two sensors differ by, and windows."""
+    sensors = len(level.known)
+    squares, counts = np.full((2, sensors, sensors), np.nan), np.zeros((sensors, sensors))
+    for i, j in combinations(range(sensors), 2):
+        both = level.known[i] & level.known[j]
+        counts[i, j] = np.count_nonzero(both)
+        if counts[i, j] >= 2:
+            apart = level.differences[j, both] - level.differences[i, both]
+            squares[:, i, j] = [
+                _variance(np.sum(part**2, axis=1)) for part in np.split(apart, 2, axis=1)]
+    return squares, counts
 
 
 def covariances(variances: FloatArray, X: FloatArray) -> FloatArray:
@@ -109,18 +97,15 @@ def covariances(variances: FloatArray, X: FloatArray) -> FloatArray:
     return Ad @ own @ np.swapaxes(Ad, 1, 2)
 
 
-def white_and_drift(
-    levels: list[Level], variances: FloatArray, step_s: float,
-) -> list[SensorNoise]:
+def white_and_drift(levels: list[Level], variances: FloatArray) -> list[SensorNoise]:
     """Return white noise and random walk of every sensor, fitted to (T, S, 2) variances.
 
     The halves of a window of 2 h samples average h poses each: white noise of variance w leaves
     2 w / h. A random walk of q a metre leaves two thirds of q times the way between the halves.
     """
-    half = np.array([level.seconds for level in levels]) / step_s
-    metres = np.array([level.metres for level in levels])
-    weight = np.sqrt([level.jacobian.shape[0] for level in levels])
-    columns = np.column_stack([2.0 / half, 2 / 3 * np.maximum(metres, 1e-9)])
+    columns = np.array([
+        (2.0 / level.samples, 2 / 3 * max(level.metres, 1e-9)) for level in levels])
+    weight = np.sqrt([len(level.jacobian) for level in levels])
     found = []
     for of_sensor in variances.swapaxes(0, 1):
         (white_m, drift_m), (white_rad, drift_rad) = (
@@ -153,7 +138,7 @@ def _variance(squares: FloatArray) -> float:
 def _components(sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return (S,) variances >= 0 whose sums i + j are closest to (S, S) ``sums``; NaN: unknown."""
     sensors = len(sums)
-    i, j = np.nonzero(np.triu(np.isfinite(sums) & (counts > 0), 1))
+    i, j = np.nonzero(np.isfinite(sums))
     if not len(i):
         return np.full(sensors, np.nan)
     y = np.maximum(sums[i, j], _LEAST**2)

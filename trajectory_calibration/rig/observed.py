@@ -11,18 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Variance relative to that of the limits which is rounding.
 _ROUNDING = 1e-16
-
-
-def limits_of(config: CalibrationConfig) -> FloatArray:
-    """Return (6,) standard deviations, metres and radians, from which a direction is open."""
-    return np.repeat([max(config.unobserved_translation, 1e-3),
-                      max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
 
 
 def misfit(error: FloatArray, V: FloatArray, limits: FloatArray) -> tuple[float, int]:

@@ -4,9 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import combinations
 import multiprocessing
@@ -36,6 +35,9 @@ _CHECKED_POSES = 2000
 
 # Poses of all pairs together below which a process costs more than it saves.
 _WORTH_PROCESSES = 12_000
+
+# Parent, child, their trajectories, and the settings.
+_Task = tuple[str, str, Trajectory, Trajectory, RigConfig]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,24 +80,15 @@ def sorted_out(
     return answers, failures
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    parent: str
-    child: str
-    a: Trajectory
-    b: Trajectory
-    config: RigConfig
-
-
-def _run(task: _Task) -> PairAnswer | PairFailure:
-    settings = replace(task.config.calibration, allow_unobserved=True)
-    if task.config.of(task.child).scale == 'free' and settings.solver == 'drift_aware':
+def _calibrated(task: _Task) -> PairAnswer | PairFailure:
+    parent, child, a, b, config = task
+    settings = replace(config.calibration, allow_unobserved=True)
+    if config.of(child).scale == 'free' and settings.solver == 'drift_aware':
         settings = replace(settings, scale_mode='estimate', scale=1.0)
     try:
-        return PairAnswer(task.parent, task.child, calibrate(task.a, task.b, settings))
+        return PairAnswer(parent, child, calibrate(a, b, settings))
     except CalibrationError as error:
-        return PairFailure(task.parent, task.child,
-                           in_rig_words(str(error), task.parent, task.child),
+        return PairFailure(parent, child, in_rig_words(str(error), parent, child),
                            no_common_time=isinstance(error, AssociationError))
 
 
@@ -108,16 +101,16 @@ def calibrate_pairs(
     first is the parent, the base before all.
     """
     names = [base, *(name for name in trajectories if name != base)]
+    order = sorted(names, key=lambda name: config.of(name).scale == 'free').index
     found: dict[frozenset[str], PairAnswer | PairFailure] = {}
 
     def extend(wanted: Iterable[tuple[str, str]], most: int = 0) -> list[PairAnswer]:
         """Calibrate pairs that are new, with so many poses at most; return all answers."""
-        new = dict.fromkeys(_oriented(pair, names, config) for pair in wanted
+        new = dict.fromkeys((min(pair, key=order), max(pair, key=order)) for pair in wanted
                             if frozenset(pair) not in found)
-        tasks = [_Task(parent, child, _thinned(trajectories[parent], most),
-                       _thinned(trajectories[child], most), config) for parent, child in new]
-        with _mapper(tasks, config.processes) as run:
-            found.update(zip(map(frozenset, new), run(_run, tasks), strict=True))
+        tasks = [(parent, child, _thinned(trajectories[parent], most),
+                  _thinned(trajectories[child], most), config) for parent, child in new]
+        found.update(zip(map(frozenset, new), _run(tasks, config.processes), strict=True))
         return sorted_out(found.values())[0]
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
@@ -156,15 +149,6 @@ def connected(names: Sequence[str], answers: Sequence[PairAnswer]) -> list[list[
     return [[name for name in names if name in members] for members in found.values()]
 
 
-def _oriented(
-    pair: tuple[str, str], names: Sequence[str], config: RigConfig,
-) -> tuple[str, str]:
-    parent, child = sorted(pair, key=names.index)
-    if config.of(parent).scale == 'free' and config.of(child).scale != 'free':
-        return child, parent
-    return parent, child
-
-
 def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
     stride = -(-len(trajectory) // most) if most else 1
     return trajectory if stride == 1 else replace(
@@ -172,21 +156,15 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
         poses=trajectory.poses[::stride], findings=())
 
 
-_Found = PairAnswer | PairFailure
-_Map = Callable[[Callable[[_Task], _Found], Sequence[_Task]], Iterator[_Found]]
-
-
-@contextmanager
-def _mapper(tasks: Sequence[_Task], processes: int) -> Iterator[_Map]:
-    """Yield a map over tasks: in processes where that is faster, else here."""
-    work = sum(min(len(task.a), len(task.b)) for task in tasks)
+def _run(tasks: Sequence[_Task], processes: int) -> list[PairAnswer | PairFailure]:
+    """Calibrate pairs: in processes where that is faster, else here."""
+    work = sum(min(len(a), len(b)) for _, _, a, b, _ in tasks)
     count = min(processes or os.cpu_count() or 1, len(tasks))
     # A forked process needs no second import, and a script no guard of its main module.
     if count < 2 or sys.platform != 'linux' or (not processes and work < _WORTH_PROCESSES):
-        yield map
-        return
+        return list(map(_calibrated, tasks))
     with warnings.catch_warnings():
         # The threads that Python sees are those of the linear algebra, which survives a fork.
         warnings.simplefilter('ignore', DeprecationWarning)
         with ProcessPoolExecutor(count, multiprocessing.get_context('fork')) as pool:
-            yield pool.map
+            return list(pool.map(_calibrated, tasks))

@@ -24,11 +24,11 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.noise import SensorNoise
 from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.shared_noise import twist_to_step
+from trajectory_calibration.rig.windows import Clock
 from trajectory_calibration.version import __version__
 
 # Raised when a key of the saved form changes its meaning.
@@ -191,11 +191,7 @@ class RigResult:
     def transform(self, parent: str, child: str) -> FloatArray:
         """Return (4, 4) the pose of one sensor in another; round every loop it is the identity.
 
-        Raises
-        ------
-        ResultError
-            A sensor that is not part of the answer, or two of different trees.
-
+        Raises ResultError for a sensor that is not part of the answer, or two of different trees.
         """
         a, b = self._both(parent, child)
         return se3.inverse(a.T_base_sensor) @ b.T_base_sensor
@@ -259,10 +255,9 @@ class RigResult:
                 config=RigConfig.from_dict(data['config']),
                 version=str(data['package_version']))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
-            if isinstance(error, CalibrationError):
-                raise ResultError(f'not a rig: {error}') from error
-            raise ResultError(f'not a rig: {type(error).__name__}: {error}; needed what this '
-                              'package saved') from error
+            reason = str(error) if isinstance(error, CalibrationError) else (
+                f'{type(error).__name__}: {error}; needed what this package saved')
+            raise ResultError(f'not a rig: {reason}') from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML, whole or not at all; raises ResultError."""

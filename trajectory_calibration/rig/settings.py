@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -53,12 +53,19 @@ class SensorSettings:
         return parse_prior(self.prior_translation, self.prior_translation_std,
                            self.prior_rotation, self.prior_rotation_std)
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """Return what is known of the pose as settings of ``CalibrationConfig``."""
+        return {name: value for name, value in asdict(self).items()
+                if name.startswith('prior_') and value}
+
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any], name: str) -> SensorSettings:
+    def from_dict(cls, values: Any, name: str) -> SensorSettings:
         """Build settings of the sensor ``name``; unknown keys raise ConfigError."""
-        _require_known(values, [item.name for item in fields(cls)], f'sensor {name}')
+        given = _lines(values, f'sensor {name}')
+        require_known(given, [item.name for item in fields(cls)], f' of sensor {name}')
         try:
-            return cls(**values)
+            return cls(**given)
         except ConfigError as error:
             raise ConfigError(f'sensor {name}: {error}') from error
 
@@ -108,41 +115,33 @@ class RigConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return names and values, ready for YAML or JSON."""
-        return {
-            'base': self.base,
-            'sensors': {name: asdict(sensor) for name, sensor in self.sensors.items()},
-            'pairs': self.pairs,
-            'leave_out_contradicting': self.leave_out_contradicting,
-            'processes': self.processes,
-            'calibration': self.calibration.to_dict(),
-        }
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RigConfig:
         """Build a configuration from plain data; unknown keys raise ConfigError."""
-        _require_known(values, [item.name for item in fields(cls)], 'the rig')
+        require_known(values, [item.name for item in fields(cls)], ' of the rig')
         given = dict(values)
         if 'sensors' in given:
-            sensors = _mapping(given['sensors'], 'sensors')
-            given['sensors'] = {
-                str(name): SensorSettings.from_dict(_mapping(value or {}, f'sensor {name}'), name)
-                for name, value in sensors.items()}
+            given['sensors'] = {str(name): SensorSettings.from_dict(value or {}, name)
+                                for name, value in _lines(given['sensors'], 'sensors').items()}
         if 'calibration' in given:
             given['calibration'] = CalibrationConfig.from_dict(
-                _mapping(given['calibration'] or {}, 'calibration'))
+                _lines(given['calibration'] or {}, 'calibration'))
         return cls(**given)
 
 
-def _mapping(value: Any, name: str) -> Mapping[str, Any]:
+def require_known(values: Iterable[str], known: Sequence[str], where: str) -> None:
+    """Raise ConfigError for a key that nobody knows."""
+    for key in values:
+        if key not in known:
+            raise ConfigError(f'key {key!r}{where} is unknown; known are {", ".join(known)}')
+
+
+def _lines(value: Any, name: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ConfigError(f'{name} is {value!r}, needed lines of names and values')
     return value
-
-
-def _require_known(values: Mapping[str, Any], known: list[str], where: str) -> None:
-    for key in values:
-        if key not in known:
-            raise ConfigError(f'key {key!r} of {where} is unknown; known are {", ".join(known)}')
 
 
 def _require_one_of(name: str, value: Any, known: tuple[str, ...]) -> None:

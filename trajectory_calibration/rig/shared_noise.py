@@ -45,31 +45,22 @@ def joint_covariance(
 ) -> FloatArray:
     """Return M, the (P, 8, P, 8) covariance of the answers of pairs, as their noise has it.
 
-    Parameters
-    ----------
-    levels : (T,)
-        One a length.
-    noise : (T, S, 6, 6)
-        Covariance of the differences of each sensor.
-    pairs : (P,)
-        Two sensors each.
-    free_scale : (S,)
-        Whether a sensor has a unit of its own.
-
+    ``noise`` (T, S, 6, 6) are the covariances of the differences of each sensor at each of the
+    (T,) ``levels``; ``pairs`` (P,) two sensors each; ``free_scale`` (S,) whether one has its own
+    unit.
     """
-    i, j = np.array(pairs, dtype=np.intp).T
     role = _roles(noise.shape[1], pairs)
     # What nothing tells is zero give or take, and that too belongs to the sensors.
     untold = np.tile(np.repeat(_UNTOLD, (3, 3, 1, 1))**2, (noise.shape[1], 1))
     untold[np.array(free_scale, dtype=np.bool_), SCALE] = _UNTOLD_FREE_SCALE**2
-    prior = 1.0 / (untold[i] + untold[j])
+    prior = 1.0 / (np.abs(role).T @ untold)
     bread = prior[:, :, None] * np.eye(UNKNOWNS)
-    meat = np.zeros((len(i), UNKNOWNS, len(i), UNKNOWNS))
+    meat = np.zeros((len(pairs), UNKNOWNS, len(pairs), UNKNOWNS))
     weighted = prior[:, None] * prior[None] * np.einsum('sp,sq,sa->pqa', role, role, untold)
     for a in range(UNKNOWNS):
         meat[:, a, :, a] = weighted[:, :, a]
     for level, N in zip(levels, noise, strict=True):
-        _add_level(bread, meat, level, N, (i, j), role)
+        _add_level(bread, meat, level, N, role)
     inverse = np.linalg.inv(bread)
     M = np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
     shared = role.T @ role
@@ -85,30 +76,24 @@ def _roles(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
 
 
 def _add_level(
-    bread: FloatArray, meat: FloatArray, level: Level, N: FloatArray, ends: tuple[FloatArray, ...],
-    role: FloatArray,
+    bread: FloatArray, meat: FloatArray, level: Level, N: FloatArray, role: FloatArray,
 ) -> None:
-    i, j = ends
-    K = np.linalg.inv(N[i] + N[j])
+    K = np.linalg.inv(np.tensordot(np.abs(role), N, (0, 0)))
     # Windows that the same sensors cover are summed at once.
-    patterns, which = np.unique(level.known.T, axis=0, return_inverse=True)
-    for p, pattern in enumerate(patterns):
-        seen = np.flatnonzero(pattern[i] & pattern[j])
+    for sensors, windows in level.patterns():
+        seen = np.flatnonzero(np.abs(role[sensors]).sum(axis=0) == 2)
         if not len(seen):
             continue
-        J = level.jacobian[which.ravel() == p]
+        J = level.jacobian[windows]
         # [a, b, c, d]: sum of J[c, a] J[d, b] over the windows.
         products = np.einsum('wca,wdb->abcd', J, J, optimize=True).reshape(UNKNOWNS**2, 36)
         W = K[seen]
         bread[seen] += (W.reshape(-1, 36) @ products.T).reshape(-1, UNKNOWNS, UNKNOWNS)
         inner = np.zeros((len(seen), len(seen), 6, 6))
-        for s in np.flatnonzero(pattern):
-            of = role[s, seen]
-            mine = np.flatnonzero(of)
-            if len(mine):
-                left = (of[mine, None, None] * W[mine]) @ N[s]
-                right = of[mine, None, None] * W[mine]
-                inner[np.ix_(mine, mine)] += left[:, None] @ right[None]
+        for s in sensors:
+            mine = np.flatnonzero(role[s, seen])
+            signed = role[s, seen[mine], None, None] * W[mine]
+            inner[np.ix_(mine, mine)] += (signed @ N[s])[:, None] @ signed[None]
         added = (inner.reshape(-1, 36) @ products.T).reshape(
             len(seen), len(seen), UNKNOWNS, UNKNOWNS)
         all_ = np.arange(UNKNOWNS)

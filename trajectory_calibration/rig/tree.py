@@ -9,22 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.rig.clocks import Clock
 from trajectory_calibration.rig.fusion import fuse, fuse_numbers, Fused, spanning_start
 from trajectory_calibration.rig.noise import (
     covariances,
-    pair_squares,
     sensor_variances,
     SensorNoise,
     white_and_drift,
 )
-from trajectory_calibration.rig.observed import drawn_near, limits_of, open_directions
+from trajectory_calibration.rig.observed import drawn_near, open_directions
 from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,
@@ -36,12 +35,13 @@ from trajectory_calibration.rig.shared_noise import (
 )
 from trajectory_calibration.rig.windows import (
     CLOCK,
+    Clock,
     common_grid,
     Grid,
     Level,
     levels_of,
     SCALE,
-    Track,
+    track_of,
     TWIST,
 )
 
@@ -141,7 +141,7 @@ def build_tree(
     levels: list[Level] = []
     if all(name in trajectories for name in names):
         grid = common_grid([
-            _carried(trajectories[name], clock, scale, X)
+            track_of(trajectories[name], clock, float(scale), X)
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
             round(settings.max_gap * 1e9))
         levels = levels_of(grid)
@@ -155,8 +155,7 @@ def build_tree(
         C = carried_to_stated(assumed_correlations(sensors, ends), stated, start, ends)
         return Tree(tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
                     (None,) * sensors)
-    variances = sensor_variances(
-        *pair_squares(levels), np.linalg.norm(start[:, :3, 3], axis=1))
+    variances = sensor_variances(levels, start)
     noise = covariances(variances, start)
     M = joint_covariance(levels, noise, ends, free_scale)
     C = carried_to_stated(correlations(M[:, TWIST][:, :, :, TWIST]), stated, start, ends)
@@ -171,10 +170,9 @@ def build_tree(
     stds = scales * np.maximum(stds, least)
     unit = (np.abs(logs_of) < _ROUNDING) & (stds < _ROUNDING)
     scales[unit], stds[unit] = 1.0, 0.0
-    step_s = float(np.median(np.diff(grid.stamps_ns))) * 1e-9
     return Tree(
         tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
-        tuple(white_and_drift(levels, variances, step_s)), tuple(levels), noise, grid)
+        tuple(white_and_drift(levels, variances)), tuple(levels), noise, grid)
 
 
 def offset_std_of(result: CalibrationResult) -> float:
@@ -220,13 +218,6 @@ def _agree_in_what_is_open(
         between = se3.inverse(start[i]) @ start[j]
         answers[p], stated[p] = drawn_near(answers[p], stated[p], between, limits)
     return start
-
-
-def _carried(
-    trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray,
-) -> Track:
-    poses = trajectory.scaled(float(scale)).poses
-    return Track(clock.apply(trajectory.stamps_ns), poses @ se3.inverse(X))
 
 
 def _epoch(

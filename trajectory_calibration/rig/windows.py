@@ -15,13 +15,15 @@ The reference track cancels in what two sensors differ by, so it need not be goo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.interpolation import interpolate
+from trajectory_calibration.geometry.interpolation import interpolate, left_of
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Columns of a jacobian: the twist of an extrinsic, the clock (s), the log scale.
@@ -37,28 +39,59 @@ _COVERED = 0.7
 _FEWEST_WINDOWS = 4
 
 
+@dataclass(frozen=True)
+class Clock:
+    """Stamps t of a sensor are ``t + drift (t - epoch_ns) + offset_s`` in the base.
+
+    Attributes
+    ----------
+    offset_s : seconds added to the stamps at the epoch.
+    drift : seconds a second.
+    epoch_ns : stamp of the sensor.
+    offset_std_s : standard deviation of the offset.
+
+    """
+
+    offset_s: float = 0.0
+    drift: float = 0.0
+    epoch_ns: int = 0
+    offset_std_s: float = 0.0
+
+    def apply(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return (N,) stamps of the sensor as stamps of the base."""
+        drifted = self.drift * (stamps_ns - self.epoch_ns).astype(np.float64)
+        return stamps_ns + np.rint(drifted + 1e9 * self.offset_s).astype(np.int64)
+
+    def at(self, stamp_ns: int) -> float:
+        """Return by how much, seconds, stamps near ``stamp_ns`` of the sensor are corrected."""
+        return self.offset_s + self.drift * (stamp_ns - self.epoch_ns) * 1e-9
+
+
 @dataclass(frozen=True, eq=False)
 class Level:
     """All windows of one length.
 
     Attributes
     ----------
-    seconds : from the middle of the first half to the middle of the second.
-    metres : driven in that time, on average.
+    samples : of the grid in half a window; the windows follow one another from the first sample.
+    metres : driven from the middle of the first half to that of the second, on average.
     differences : (S, W, 6), of each sensor and window, base frame, metres and radians.
     jacobian : (W, 6, 8), of a difference by a step of the unknowns of its sensor.
     known : (S, W), whether the sensor covers the window.
-    first, last : (W,), samples of the grid where the windows begin and end.
 
     """
 
-    seconds: float
+    samples: int
     metres: float
     differences: FloatArray
     jacobian: FloatArray
     known: NDArray[np.bool_]
-    first: NDArray[np.intp]
-    last: NDArray[np.intp]
+
+    def patterns(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+        """Yield numbers of sensors and the windows that these and no others cover."""
+        patterns, which = np.unique(self.known.T, axis=0, return_inverse=True)
+        for p, pattern in enumerate(patterns):
+            yield np.flatnonzero(pattern), np.flatnonzero(which.ravel() == p)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +119,12 @@ class Grid:
     known: NDArray[np.bool_]
 
 
+def track_of(trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray) -> Track:
+    """Return the track of the base that a sensor with the pose ``X`` (4, 4) in it has driven."""
+    poses = trajectory.scaled(scale).poses @ se3.inverse(X)
+    return Track(clock.apply(trajectory.stamps_ns), poses)
+
+
 def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
     """Sample (S,) tracks, which are carried into the base, from the first pose to the last."""
     begin = min(int(track.stamps_ns[0]) for track in tracks)
@@ -96,13 +135,11 @@ def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
     poses = np.broadcast_to(np.eye(4), (len(tracks), count, 4, 4)).copy()
     known = np.zeros((len(tracks), count), dtype=np.bool_)
     for s, track in enumerate(tracks):
-        inside = (stamps_ns >= track.stamps_ns[0]) & (stamps_ns <= track.stamps_ns[-1])
-        right = np.clip(np.searchsorted(track.stamps_ns, stamps_ns), 1, len(track.stamps_ns) - 1)
-        gap = track.stamps_ns[right] - track.stamps_ns[right - 1]
-        known[s] = inside & (gap <= max_gap_ns)
-        if known[s].any():
-            poses[s, known[s]] = interpolate(
-                track.stamps_ns, track.poses, stamps_ns[known[s]], max_gap_ns=max_gap_ns)
+        left = left_of(track.stamps_ns, stamps_ns)
+        known[s] = ((stamps_ns >= track.stamps_ns[0]) & (stamps_ns <= track.stamps_ns[-1])
+                    & (np.diff(track.stamps_ns)[left] <= max_gap_ns))
+        poses[s, known[s]] = interpolate(
+            track.stamps_ns, track.poses, stamps_ns[known[s]], max_gap_ns=max_gap_ns)
     return Grid(stamps_ns, poses, known)
 
 
@@ -110,15 +147,12 @@ def levels_of(grid: Grid) -> list[Level]:
     """Return the windows of every length, the shortest first."""
     reference = _reference(grid)
     seconds = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
-    step = float(np.median(np.diff(seconds)))
     jacobian = _jacobian(reference, seconds)
     # A node: where the base is (its sample of the reference) and what each sensor says of it.
     at, said = reference, grid.poses.copy()
     covered = grid.known.astype(np.float64)
     information = np.broadcast_to(_weights(grid, reference), (len(at), 6, 6)).copy()
-    first = np.arange(len(at))
     levels: list[Level] = []
-    length = 1
     while len(at) >= 2 * _FEWEST_WINDOWS:
         count = len(at) // 2 * 2
         left, right = slice(0, count, 2), slice(1, count, 2)
@@ -129,13 +163,11 @@ def levels_of(grid: Grid) -> list[Level]:
         of_left = carry @ jacobian[left]
         both = (covered[:, left] >= _COVERED) & (covered[:, right] >= _COVERED)
         levels.append(Level(
-            seconds=length * step,
+            samples=2**len(levels),
             metres=float(np.mean(np.linalg.norm(to_middle[:, :3, 3], axis=1))),
             differences=np.where(both[:, :, None], apart, 0.0),
             jacobian=jacobian[right] - of_left,
-            known=both,
-            first=first[left],
-            last=np.minimum(first[left] + 2 * length, len(reference)) - 1))
+            known=both))
         # What both halves know, where the second one begins.
         carried = se3.adjoint(to_middle)
         of_first = np.swapaxes(carried, 1, 2) @ information[left] @ carried
@@ -148,8 +180,7 @@ def levels_of(grid: Grid) -> list[Level]:
         jacobian = of_left + share @ (jacobian[right] - of_left)
         information = of_first + information[right]
         covered = 0.5 * (covered[:, left] + covered[:, right])
-        at, first = at[right], first[left]
-        length *= 2
+        at = at[right]
     return levels
 
 
@@ -194,15 +225,11 @@ def _jacobian(reference: FloatArray, seconds: FloatArray) -> FloatArray:
 def _weights(grid: Grid, reference: FloatArray) -> FloatArray:
     """Return (6, 6) the information of one pose: how positions and attitudes compare."""
     moved = se3.inverse(reference[:-1]) @ reference[1:]
-    squares = np.zeros((0, 6))
-    for poses, known in zip(grid.poses, grid.known, strict=True):
-        both = known[:-1] & known[1:]
-        steps = se3.inverse(poses[:-1][both]) @ poses[1:][both]
-        squares = np.concatenate([
-            squares, se3.log_se3(se3.inverse(moved[both]) @ steps)**2])
+    both = grid.known[:, :-1] & grid.known[:, 1:]
+    steps = (se3.inverse(grid.poses[:, :-1]) @ grid.poses[:, 1:])[both]
+    squares = se3.log_se3(se3.inverse(moved[np.nonzero(both)[1]]) @ steps)**2
     squares = squares[squares.any(axis=1)]
     if not len(squares):
         return np.eye(6)
-    usual = [max(float(np.median(part.sum(axis=1))), 1e-20)
-             for part in (squares[:, :3], squares[:, 3:])]
-    return np.diag(np.repeat(1.0 / np.array(usual), 3))
+    usual = np.median(squares.reshape(-1, 2, 3).sum(axis=2), axis=0)
+    return np.diag(np.repeat(1.0 / np.maximum(usual, 1e-20), 3))
