@@ -42,9 +42,9 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
         f'dashed: a change. Axes of {frame_a}; rotations from the first mean.')
     recordings = section(
         2, 'Recordings', f'<div class="card">{_table(comparison)}</div>',
-        f'Chi-squared of all about one mean: {comparison.chi_squared:.1f} at '
-        f'{comparison.degrees_of_freedom} degrees of freedom. What the words of the findings '
-        'mean: docs/findings.md.')
+        f'Chi-squared about one mean of all: {comparison.chi_squared:,.1f} of '
+        f'{comparison.degrees_of_freedom} degrees of freedom. docs/findings.md explains the '
+        'findings.')
     return page(title, box + charts + recordings, scripts=())
 
 
