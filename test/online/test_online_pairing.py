@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
-from trajectory_calibration.online.pairing import count_pairs, Pairing
+from trajectory_calibration.online.motion import count_pairs, Pairing
 from trajectory_calibration.time_alignment.pairing import associate, associate_by_interpolation
 
 SECOND = 1_000_000_000

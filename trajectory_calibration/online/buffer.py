@@ -8,14 +8,15 @@ Nothing here imports ROS, so that a replay of a bag runs through the same code a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.data.trajectory import MAX_POSITION, ROTATION_TOLERANCE
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.refusal import fault_of, OF_MESSAGES, PoseTuple, Refusal
 from trajectory_calibration.online.track import Track
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
@@ -33,6 +34,28 @@ _FIRST_ALLOCATION = 1024
 Frames = tuple[str, str]
 
 _NO_FRAMES = ('', '')
+
+# Position x, y, z (metres) and quaternion x, y, z, w.
+PoseTuple = tuple[float, ...]
+
+
+class Refusal(str, Enum):
+    """Why a pose did not enter the buffer; the words of the diagnostics."""
+
+    NO_STAMP = 'no stamp'
+    NOT_FINITE = 'not finite'
+    NOT_UNIT = 'not a unit quaternion'
+    TOO_FAR = 'too far away'
+    DUPLICATE = 'duplicate stamp'
+    OUT_OF_ORDER = 'out of order'
+    STRAY_STAMP = 'stray stamp'
+    OTHER_FRAME = 'other frame'
+    UNREADABLE = 'unreadable'
+    EMPTY_PATH = 'path without a usable pose'
+
+
+# Of these the unit is the message, not the pose.
+OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
 
 
 @dataclass(frozen=True)
@@ -315,3 +338,17 @@ class PoseBuffer:
         stamps[:count], poses[:count] = (
             array[self._start:self._end] for array in (self._stamps, self._poses))
         self._stamps, self._poses, self._start, self._end = stamps, poses, 0, count
+
+
+def fault_of(pose: PoseTuple) -> Refusal | None:
+    """Return why a pose is of no use, None where it is."""
+    x, y, z, qx, qy, qz, qw = pose
+    norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
+    # Written so that NaN fails.
+    unit = abs(norm - 1.0) <= ROTATION_TOLERANCE
+    if (unit and abs(x) <= MAX_POSITION and abs(y) <= MAX_POSITION
+            and abs(z) <= MAX_POSITION):
+        return None
+    if not all(map(math.isfinite, pose)):
+        return Refusal.NOT_FINITE
+    return Refusal.TOO_FAR if unit else Refusal.NOT_UNIT

@@ -17,11 +17,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.online.refusal import fault_of
+from trajectory_calibration.online.buffer import fault_of
 from trajectory_calibration.online.vehicle_frames import difference, VehicleFrames
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.conversions import stamp_ns, to_transform_stamped
-from trajectory_calibration.ros.outputs import LATCHED
+from trajectory_calibration.ros.messages import LATCHED, stamp_ns, to_transform_stamped
 from trajectory_calibration.sources.transforms import ChainFollower
 
 # How long the node listens before it publishes on /tf_static: discovery takes up to 3 seconds.

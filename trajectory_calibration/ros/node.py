@@ -21,10 +21,9 @@ from std_srvs.srv import Trigger
 from trajectory_calibration.errors import CalibrationError, ConfigError, counted, ResultError
 from trajectory_calibration.online.answer import describe
 from trajectory_calibration.online.background import Background
-from trajectory_calibration.online.motion import measure, Motion
+from trajectory_calibration.online.motion import count_pairs, measure, Motion
 from trajectory_calibration.online.options import find_frames, find_type, to_config, to_limits
 from trajectory_calibration.online.overlay import Overlay
-from trajectory_calibration.online.pairing import count_pairs
 from trajectory_calibration.online.session import Calibration, CalibrationSession, name_of
 from trajectory_calibration.online.state import CalibrationState
 from trajectory_calibration.online.store import Restored, ResultStore
@@ -39,7 +38,7 @@ from trajectory_calibration.ros.diagnostics import (
     time_apart_s,
 )
 from trajectory_calibration.ros.frames import VehicleTransforms
-from trajectory_calibration.ros.outputs import ResultPublisher
+from trajectory_calibration.ros.messages import ResultPublisher
 from trajectory_calibration.ros.parameters import NodeParameters
 from trajectory_calibration.ros.topics import (
     resolve_topic,

@@ -18,8 +18,8 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.feed import PoseFeed
-from trajectory_calibration.ros.conversions import MESSAGE_TYPES
 from trajectory_calibration.ros.frames import VehicleTransforms
+from trajectory_calibration.ros.messages import MESSAGE_TYPES
 from trajectory_calibration.sources.cdr import PATH
 from trajectory_calibration.sources.transforms import ChainFollower
 

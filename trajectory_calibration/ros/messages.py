@@ -1,8 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Between messages and numbers; the only place that knows the fields of a message."""
+"""Messages of what the node receives and publishes: their types, and how they are filled."""
 
 from __future__ import annotations
+
+import json
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
@@ -17,7 +19,9 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
-from std_msgs.msg import ColorRGBA, Header
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from trajectory_calibration.geometry import se3
@@ -40,8 +44,44 @@ MESSAGE_TYPES = {
     PATH: Path,
 }
 
+# The newest value for whoever comes later.
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
 # Metres.
 _LINE_WIDTH, _TEXT_HEIGHT = 0.01, 0.5
+
+
+class ResultPublisher:
+    """Publishes results of one node; what goes to TF is another matter, see ``frames``."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publishers = {
+            name: node.create_publisher(kind, f'~/{name}', LATCHED) for name, kind in (
+                ('extrinsic', TransformStamped),
+                ('extrinsic_with_covariance', PoseWithCovarianceStamped),
+                ('result', String),
+                ('path_a', Path),
+                ('path_b', Path),
+                ('markers', MarkerArray))}
+
+    def publish(self, result: CalibrationResult, overlay: Overlay | None) -> None:
+        """Publish an answer; without an overlay, as after a restart, no tracks."""
+        stamp: Time = self._node.get_clock().now().to_msg()
+        messages = {
+            'extrinsic': to_transform_stamped(
+                result.frame_a, result.frame_b, result.T_a_b, stamp),
+            'result': String(data=json.dumps(result.to_dict()))}
+        if result.covariance is not None:
+            messages['extrinsic_with_covariance'] = _to_pose_with_covariance(result, stamp)
+        if overlay is not None:
+            messages['path_a'] = _to_path(overlay.poses_a, overlay)
+            messages['path_b'] = _to_path(overlay.poses_b, overlay)
+            messages['markers'] = _to_markers(result, overlay, stamp)
+        for name, message in messages.items():
+            self._publishers[name].publish(message)
 
 
 def stamp_ns(stamp: Time) -> int:
@@ -60,7 +100,7 @@ def to_transform_stamped(
         transform=Transform(translation=Vector3(x=t.x, y=t.y, z=t.z), rotation=pose.orientation))
 
 
-def to_pose_with_covariance(result: CalibrationResult, stamp: Time) -> PoseWithCovarianceStamped:
+def _to_pose_with_covariance(result: CalibrationResult, stamp: Time) -> PoseWithCovarianceStamped:
     """Return the pose of b in a with its covariance."""
     message = PoseWithCovarianceStamped(header=Header(stamp=stamp, frame_id=result.frame_a))
     message.pose.pose, = _poses(result.T_a_b[np.newaxis])
@@ -68,7 +108,7 @@ def to_pose_with_covariance(result: CalibrationResult, stamp: Time) -> PoseWithC
     return message
 
 
-def to_path(poses: FloatArray, overlay: Overlay) -> Path:
+def _to_path(poses: FloatArray, overlay: Overlay) -> Path:
     """Return (K, 4, 4) poses of an overlay as a path in its world."""
     stamped = []
     for stamp_ns, pose in zip(overlay.stamps_ns.tolist(), _poses(poses), strict=True):
@@ -78,7 +118,7 @@ def to_path(poses: FloatArray, overlay: Overlay) -> Path:
     return Path(header=stamped[-1].header, poses=stamped)
 
 
-def to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> MarkerArray:
+def _to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> MarkerArray:
     """Return lines between what a and b say at the same time, and the answer as a text."""
     header = Header(stamp=stamp, frame_id=overlay.world_frame)
     ends = np.stack([overlay.poses_a[:, :3, 3], overlay.poses_b[:, :3, 3]], axis=1)
