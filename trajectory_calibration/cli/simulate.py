@@ -26,6 +26,15 @@ from trajectory_calibration.simulation.files import (
 FORMATS = ('tum', *STORAGES)
 TOPICS = ('/trajectory_a', '/trajectory_b')
 
+# Fields of a sensor of a scenario that are options.
+_OF_A_SENSOR = (
+    ('rate', float, 'HZ', 'poses per second'),
+    ('clock-offset', float, 'S', 'its clock is ahead by this many seconds'),
+    ('clock-drift', float, 'S/S', 'its clock gains this many seconds a second'),
+    ('gaps', int, 'N', 'gaps in its poses'),
+    ('gap', float, 'S', 'length of each gap, seconds'),
+)
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
@@ -54,16 +63,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'file (default: drawn from the seed)')
     for name in 'ab':
         group = parser.add_argument_group(f'sensor {name}')
-        group.add_argument(f'--rate-{name}', type=float, metavar='HZ', help='poses per second')
-        group.add_argument(
-            f'--clock-offset-{name}', type=float, metavar='S',
-            help='its clock is ahead by this many seconds')
-        group.add_argument(
-            f'--clock-drift-{name}', type=float, metavar='S/S',
-            help='its clock gains this many seconds a second')
-        group.add_argument(f'--gaps-{name}', type=int, metavar='N', help='gaps in its poses')
-        group.add_argument(
-            f'--gap-{name}', type=float, metavar='S', help='length of each gap, seconds')
+        for option, kind, metavar, text in _OF_A_SENSOR:
+            group.add_argument(f'--{option}-{name}', type=kind, metavar=metavar, help=text)
         group.add_argument(f'--frame-{name}', dest=f'sensor_frame_{name}', metavar='FRAME',
                            help='name of its frame')
     parser.add_argument(

@@ -213,19 +213,17 @@ class CalibrationNode(Node):
         elif self._store is None:
             response.message = 'result_directory is empty; start the node with a folder'
         else:
-            response.success, response.message = self._save(
-                self._store, self._state.result, exports=True)
+            response.success, response.message = self._save(self._state.result, exports=True)
         return response
 
-    def _save(
-        self, store: ResultStore, result: CalibrationResult, *, exports: bool = False,
-    ) -> tuple[bool, str]:
+    def _save(self, result: CalibrationResult, *, exports: bool = False) -> tuple[bool, str]:
         """Save a result; return whether that succeeded, and a sentence."""
         try:
-            path = store.save(result)
+            path = self._store.save(result)
             if not exports or result.frame_a == result.frame_b:
                 return True, f'saved in {path}'
-            return True, f'saved in {path}; URDF and other exports in {store.export(result, path)}'
+            folder = self._store.export(result, path)
+            return True, f'saved in {path}; URDF and other exports in {folder}'
         except ResultError as error:
             self.get_logger().error(str(error))
             return False, f'not saved: {error}'
@@ -282,7 +280,7 @@ class CalibrationNode(Node):
             result = outcome.result
             self._state.succeeded(result)
             self._publish(result, outcome.overlay)
-            file = '' if self._store is None else self._save(self._store, result)[1]
+            file = '' if self._store is None else self._save(result)[1]
             answer = True, describe(result, file, self._tf.today(result), self._tf.placed)
             self.get_logger().info(answer[1])
         if self._answer is not None:
