@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         tracks = reader.read([topic_a, topic_b], progress)
     session = CalibrationSession((topic_a, topic_b), to_limits(values))
     for topic, name, buffer in zip(
-            session.topics, ('type_a', 'type_b'), session.buffers, strict=True):
+            (topic_a, topic_b), ('type_a', 'type_b'), session.buffers, strict=True):
         wanted = find_type(values[name])
         if wanted not in (None, tracks[topic].msgtype) and find_frames(topic) is None:
             raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '

@@ -10,14 +10,13 @@ component open, one number stands for all three, and a standard deviation of 0 f
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-
-_OPEN = '-'
 
 # A fixed component: small enough to be exact, large enough to divide by.
 FIXED = 1e-12
@@ -83,14 +82,11 @@ def parse_prior(
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
     """Return (3,) values, NaN where open, and (3,) widths, infinite where open."""
-    if not values.strip() and not std.strip():
-        return np.full(3, np.nan), np.full(3, np.inf)
-    if not std.strip():
+    if values.strip() and not std.strip():
         raise ConfigError(
             f'{name}_std is empty, but {name} is {values!r}, needed both; give {name}_std too (of '
             f'a running node, set {name}_std first and clear it last)')
-    value = _three(name, values) if values.strip() else np.full(3, np.nan)
-    width = _three(f'{name}_std', std)
+    value, width = _three(name, values), _three(f'{name}_std', std)
     if (width < 0).any():
         raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
     if len(std.split(',')) == 1:
@@ -103,16 +99,16 @@ def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray
 
 
 def _three(name: str, text: str) -> FloatArray:
-    parts = [part.strip() for part in text.split(',')]
+    """Return (3,) numbers of a text, NaN where open; all are in an empty one."""
+    parts = [part.strip() for part in (text if text.strip() else '-,-,-').split(',')]
     if len(parts) == 1 and name.endswith('_std'):
-        parts = parts * 3
+        parts *= 3
     try:
-        values = np.array([np.nan if part == _OPEN else float(part) for part in parts])
-        valid = len(values) == 3 and np.isfinite(values[[part != _OPEN for part in parts]]).all()
+        finite = all(math.isfinite(float(part)) for part in parts if part != '-')
     except ValueError:
-        valid = False
-    if not valid:
+        finite = False
+    if len(parts) != 3 or not finite:
         raise ConfigError(
             f'{name} is {text!r}, needed three numbers with commas, "-" for an open one, such as '
             '0.3,-,0.1')
-    return values
+    return np.array([math.nan if part == '-' else float(part) for part in parts])

@@ -56,12 +56,9 @@ class Option:
         # More than a float holds, and than Python writes.
         if isinstance(value, int) and value.bit_length() > 1000:
             raise ConfigError(f'{self.name} is an integer of too many digits')
-        number = {float: Real, int: Integral}.get(self.kind)
-        if number is not None and isinstance(value, number) and not isinstance(value, bool):
+        kinds: Any = {float: Real, int: Integral, str: (str, Real)}.get(self.kind, ())
+        if isinstance(value, kinds) and not isinstance(value, bool):
             value = self.kind(value)
-        elif (self.kind is str and isinstance(value, (str, Real))
-              and not isinstance(value, bool)):
-            value = str(value)
         if type(value) is not self.kind:
             raise ConfigError(
                 f'{self.name} is {value!r}, needed a value of type {self.kind.__name__}')

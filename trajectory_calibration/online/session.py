@@ -56,18 +56,18 @@ class CalibrationJob:
 class CalibrationSession:
     """The poses of the sensors since the last reset; the first sensor is the parent.
 
-    The full names of their topics name the sensors whose messages do not.
+    The full names of their topics name the sensors whose messages do not (``names``).
     """
 
     def __init__(self, topics: Sequence[str], limits: BufferLimits) -> None:
-        self.topics = tuple(topics)
-        self.buffers = tuple(PoseBuffer(limits) for _ in self.topics)
+        self.names = [topic.strip('/').replace('/', '_') for topic in topics]
+        self.buffers = tuple(PoseBuffer(limits) for _ in topics)
 
     def tracks(self, frames: Sequence[str] = ('', '')) -> tuple[Track, ...]:
         """Return copies of what is held now; ``frames`` that are not empty override names."""
         return tuple(
-            buffer.snapshot(name_of(topic), frame.lstrip('/'))
-            for buffer, topic, frame in zip(self.buffers, self.topics, frames, strict=True))
+            buffer.snapshot(name, frame.lstrip('/'))
+            for buffer, name, frame in zip(self.buffers, self.names, frames, strict=True))
 
     def job(self, config: CalibrationConfig, frames: Sequence[str] = ('', '')) -> CalibrationJob:
         """Return a calibration of the second sensor in the first from what is held now."""
@@ -77,26 +77,20 @@ class CalibrationSession:
     def frames(self, overrides: Sequence[str] = ('', '')) -> tuple[str, ...]:
         """Return the frame of each sensor as a calibration names it, '' before its first pose."""
         return tuple(
-            override.lstrip('/') or buffer.frames[1] or (name_of(topic) if len(buffer) else '')
-            for override, buffer, topic in zip(
-                overrides, self.buffers, self.topics, strict=True))
+            override.lstrip('/') or buffer.frames[1] or (name if len(buffer) else '')
+            for override, buffer, name in zip(overrides, self.buffers, self.names, strict=True))
 
     def invented(self, overrides: Sequence[str] = ('', '')) -> frozenset[str]:
         """Return the frames that no message and no override names, but the topic."""
         return frozenset(
-            name_of(topic) for override, buffer, topic in zip(
-                overrides, self.buffers, self.topics, strict=True)
+            name for override, buffer, name in zip(
+                overrides, self.buffers, self.names, strict=True)
             if not override and not buffer.frames[1])
 
     def reset(self) -> None:
         """Forget all poses and counts."""
         for buffer in self.buffers:
             buffer.clear()
-
-
-def name_of(topic: str) -> str:
-    """Return the name of a sensor whose messages do not name it."""
-    return topic.strip('/').replace('/', '_')
 
 
 def _way_out(result: CalibrationResult) -> str:

@@ -24,7 +24,7 @@ from trajectory_calibration.online.background import Background
 from trajectory_calibration.online.motion import count_pairs, measure, Motion
 from trajectory_calibration.online.options import find_frames, find_type, to_config, to_limits
 from trajectory_calibration.online.overlay import Overlay
-from trajectory_calibration.online.session import Calibration, CalibrationSession, name_of
+from trajectory_calibration.online.session import Calibration, CalibrationSession
 from trajectory_calibration.online.state import CalibrationState
 from trajectory_calibration.online.store import Restored, ResultStore
 from trajectory_calibration.online.verification import Monitor
@@ -96,8 +96,9 @@ class CalibrationNode(Node):
                 'ab', names, pairs, self._session.buffers, strict=True)]
         self._monitors = [
             InputMonitor(
-                self._status_name(f'trajectory_{side}'), buffer, started_s, name_of(topic))
-            for side, buffer, topic in zip('ab', self._session.buffers, topics, strict=True)]
+                self._status_name(f'trajectory_{side}'), buffer, started_s, name)
+            for side, buffer, name in zip(
+                'ab', self._session.buffers, self._session.names, strict=True)]
         self._refusals_logged_s = 0.0
         self._waiting_logged_s = started_s - _WAITING_AGAIN_S + _WAITING_LOG_S
 
@@ -220,13 +221,13 @@ class CalibrationNode(Node):
         """Save a result; return whether that succeeded, and a sentence."""
         try:
             path = self._store.save(result)
-            if not exports or result.frame_a == result.frame_b:
-                return True, f'saved in {path}'
-            folder = self._store.export(result, path)
-            return True, f'saved in {path}; URDF and other exports in {folder}'
+            saved = f'saved in {path}'
+            if exports and result.frame_a != result.frame_b:
+                saved += f'; URDF and other exports in {self._store.export(result, path)}'
         except ResultError as error:
             self.get_logger().error(str(error))
             return False, f'not saved: {error}'
+        return True, saved
 
     def _find_restored(self) -> Restored | None:
         """Return the newest saved result; a vehicle without one starts all the same."""
