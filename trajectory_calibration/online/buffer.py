@@ -123,11 +123,6 @@ class PoseBuffer:
         """Return a view of all stamps."""
         return self._stamps[self._start:self._end]
 
-    def after(self, stamp_ns: int) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return views of the (K,) stamps after ``stamp_ns`` and of their (K, 7) poses."""
-        first = self._start + int(np.searchsorted(self.stamps_ns, stamp_ns, side='right'))
-        return self._stamps[first:self._end], self._poses[first:self._end]
-
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
         """Take one pose as it arrives, or count why not."""
         self.received += 1
@@ -186,8 +181,7 @@ class PoseBuffer:
         self.still = 0
         row = sorted(track.items())
         strays = self.refused[Refusal.STRAY_STAMP] = self._strays(row)
-        for stamp_ns, pose in row[:len(row) - strays]:
-            self._store(stamp_ns, pose)
+        self._store_all(row[:len(row) - strays])
 
     def _strays(self, row: list[tuple[int, PoseTuple]]) -> int:
         """Return how many of the last of the sorted stamps are wrong.
@@ -256,14 +250,16 @@ class PoseBuffer:
         if abs(step) > JUMP_NS:
             self._strangers.clear()
         self._strangers.append((stamp_ns, pose))
-        if not self._is_confirmed(self._strangers):
-            return
-        self.refused[Refusal.OTHER_FRAME] -= len(self._strangers)
-        self._begin_anew(self._strangers, frames)
+        if self._is_confirmed(self._strangers):
+            self.refused[Refusal.OTHER_FRAME] -= len(self._strangers)
+            self._begin_anew(self._strangers, frames)
 
     def _begin_anew(self, row: list[tuple[int, PoseTuple]], frames: Frames) -> None:
         self.forgotten += len(self)
         self._change_frames(frames)
+        self._store_all(row)
+
+    def _store_all(self, row: list[tuple[int, PoseTuple]]) -> None:
         for stamp_ns, pose in row:
             self._store(stamp_ns, pose)
 
@@ -282,9 +278,8 @@ class PoseBuffer:
         if self._jump[0][0] < self._last_ns:
             self.clock_jumps += 1
             self._begin_anew(self._jump, self.frames)
-            return
-        for stamp, held in self._jump:
-            self._store(stamp, held)
+        else:
+            self._store_all(self._jump)
         self._jump.clear()
 
     def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:

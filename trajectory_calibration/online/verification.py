@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.fleet.verification import CANNOT_TELL, HOLDS, MOVED, verify
@@ -96,15 +98,16 @@ class Monitor:
         if self._result is None or now_s - self._checked_s < self._period_s:
             return None
         starts_ns, ends_ns = [], []
-        for buffer, since_ns, last_ns in zip(
+        for buffer, *before_ns in zip(
                 session.buffers, self._since_ns, self._last_ns, strict=True):
             first_ns, end_ns = buffer.span_ns or (0, 0)
             # A clock that went back began another recording.
             begin_ns, seen_ns = (
-                stamp if stamp <= end_ns else first_ns for stamp in (since_ns, last_ns))
+                stamp if stamp <= end_ns else first_ns for stamp in before_ns)
             starts_ns.append(max(begin_ns, end_ns - self._window_ns))
             ends_ns.append(end_ns)
-            if len(buffer.after(max(starts_ns[-1], seen_ns))[0]) < _FEWEST_POSES:
+            if np.count_nonzero(
+                    buffer.stamps_ns > max(starts_ns[-1], seen_ns)) < _FEWEST_POSES:
                 return None
         self._checked_s, self._last_ns = now_s, ends_ns
         track_a, track_b = (track.after(start_ns) for track, start_ns in zip(
