@@ -9,7 +9,6 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli.report import require_new
-from trajectory_calibration.cli.rig import compare_saved
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
@@ -55,6 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_new([arguments.output / name for name in FILES], force=arguments.force)
     rigs = [is_rig(path) for path in arguments.results]
     if all(rigs):
+        from trajectory_calibration.cli.rig import compare_saved
         return compare_saved(arguments.results, arguments)
     if any(rigs):
         raise ConfigError(f'{arguments.results[rigs.index(True)]} is a rig, and others are not; '

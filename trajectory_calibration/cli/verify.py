@@ -16,7 +16,6 @@ from trajectory_calibration.cli.options import (
     given_options,
 )
 from trajectory_calibration.cli.progress import running_clock
-from trajectory_calibration.cli.rig import verify_rig
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.verification import verify
@@ -43,6 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(arguments: argparse.Namespace) -> int:
     """Verify and print the verdict."""
     if is_rig(arguments.result):
+        from trajectory_calibration.cli.rig import verify_rig
         rig = RigResult.load(arguments.result)
         return verify_rig(rig, _config(rig.config.calibration, arguments), arguments)
     if arguments.b is None:
