@@ -160,7 +160,7 @@ def test_output_that_cannot_be_written(files, capsys):
     a, b, _ = files
     status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', f'{a}/below')
     assert (status, out) == (1, '')
-    assert err == f'error: {a}/below cannot be written: Not a directory; give another --output\n'
+    assert err == f'error: {a}/below cannot be made: Not a directory; give another --output\n'
 
 
 @pytest.mark.parametrize('taken, written', [

@@ -21,7 +21,7 @@ from trajectory_calibration.cli.report import (
     write_failure,
     write_pages,
 )
-from trajectory_calibration.config.yaml_file import write_text, write_yaml
+from trajectory_calibration.config.yaml_file import make_folder, write_text, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
@@ -114,7 +114,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         text += f'# not observed: {", ".join(result.observability.unobserved)}\n'
     text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder, ResultError)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
         if Placement.of(result).kept_back:
             return
@@ -122,10 +122,6 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         if result.frame_a != result.frame_b:
             from trajectory_calibration.outputs.exports import write_exports
             write_exports(Placement.of(result), folder)
-    except OSError as error:
-        raise ResultError(
-            f'{folder} cannot be written: {error.strerror or error}; give another --output'
-        ) from error
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
 

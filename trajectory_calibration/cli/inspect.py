@@ -19,7 +19,7 @@ from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.sources.files import FileSource, is_bag
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
-from trajectory_calibration.sources.transforms import TF_PREFIX, TransformTree
+from trajectory_calibration.sources.transforms import TF_PREFIX
 
 if TYPE_CHECKING:
     from trajectory_calibration.sources.topics import TopicTrack
@@ -64,9 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | SourceError:
     """Describe what is at a path, or return why that cannot be done."""
     try:
-        if is_bag(path):
-            return _inspect_bag(path)
-        return _inspect_file(path, options_of(arguments))
+        return _inspect_bag(path) if is_bag(path) else _inspect_file(path, options_of(arguments))
     except SourceError as error:
         return error
 
@@ -90,9 +88,9 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
     from trajectory_calibration.sources.cdr import TF
     with open_bags([path]) as reader, progress_bar('reading') as progress:
         tree = reader.transforms()
+        pairs = [f'{TF_PREFIX}{parent}.{child}' for parent, child in tree.pairs()]
         # Six pairs of frames are described in full; the others are named.
-        names = [*reader.serving, *(f'{TF_PREFIX}{a}.{b}' for a, b in tree.pairs()[:6])]
-        tracks = reader.read(names, progress)
+        tracks = reader.read([*reader.serving, *pairs[:6]], progress)
         others = [
             {'topic': channel.topic, 'msgtype': channel.msgtype, 'messages': channel.messages,
              **({} if channel.encoding == 'cdr' else {'encoding': channel.encoding})}
@@ -103,20 +101,14 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
     found = [_inspect_topic(replace(track, warnings=tuple(
         warning for warning in track.warnings if warning not in notes)))
         for track in tracks.values()]
+    transforms = {'transforms': {
+        'frames': sorted(tree.frames),
+        'edges': [f'{edge}{" (static)" if edge.static else ""}' for edge in tree.edges],
+        'pairs': pairs}}
     return {'path': str(path), 'notes': notes,
             'trajectories': [item for item in found if 'error' not in item],
             'other': [item for item in found if 'error' in item] + others,
-            **_transforms(tree)}
-
-
-def _transforms(tree: TransformTree) -> dict[str, Any]:
-    """Describe the frames of a bag and the pairs of them that can serve; nothing without any."""
-    if not tree.frames:
-        return {}
-    return {'transforms': {
-        'frames': sorted(tree.frames),
-        'edges': [f'{edge}{" (static)" if edge.static else ""}' for edge in tree.edges],
-        'pairs': [f'{TF_PREFIX}{parent}.{child}' for parent, child in tree.pairs()]}}
+            **(transforms if tree.frames else {})}
 
 
 def _inspect_topic(track: TopicTrack) -> dict[str, Any]:

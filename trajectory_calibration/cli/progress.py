@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Signs of progress on standard error, where a person watches."""
+"""Signs of progress on standard error, where a person watches and the work takes its time."""
 
 from __future__ import annotations
 
@@ -18,63 +18,54 @@ _WIDTH = 30
 _CLOCK_PATIENCE_S = 2.0
 _TICK_S = 1.0
 
-_CLEAR = '\r\033[K'
+
+@contextmanager
+def _line() -> Iterator[Callable[[str], None]]:
+    """Yield a function that writes over the line of a terminal; clear the line at the end."""
+    written = False
+
+    def write(text: str) -> None:
+        nonlocal written
+        if sys.stderr.isatty():
+            print(f'\r{text}', end='', file=sys.stderr, flush=True)
+            written = True
+
+    try:
+        yield write
+    finally:
+        if written:
+            write('\033[K')
 
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function of the part done and the whole, which draws a bar; clear it at the end.
-
-    Nothing is written unless standard error is a terminal and the work takes its time.
-    """
+    """Yield a function of the part done and the whole, which draws a bar."""
     start = time.monotonic()
-    shown = False
+    with _line() as write:
+        def draw(done: int, total: int) -> None:
+            if time.monotonic() - start >= _PATIENCE_S:
+                share = done / total if total else 1.0
+                write(f'{label} [{"#" * round(_WIDTH * share):.<{_WIDTH}}] {share:4.0%}')
 
-    def draw(done: int, total: int) -> None:
-        nonlocal shown
-        if not sys.stderr.isatty() or time.monotonic() - start < _PATIENCE_S:
-            return
-        share = done / total if total else 1.0
-        filled = round(_WIDTH * share)
-        _write(f'\r{label} [{"#" * filled:.<{_WIDTH}}] {share:4.0%}')
-        shown = True
-
-    try:
         yield draw
-    finally:
-        if shown:
-            _write(_CLEAR)
 
 
 @contextmanager
 def running_clock(label: str) -> Iterator[None]:
-    """Show the seconds that the work takes, whose end is not known; clear them at the end.
+    """Show the seconds that the work takes, whose end is not known."""
+    start, ended = time.monotonic(), Event()
+    with _line() as write:
+        def tick() -> None:
+            pause_s = _CLOCK_PATIENCE_S
+            while not ended.wait(pause_s):
+                write(f'{label}, {time.monotonic() - start:.0f} s')
+                pause_s = _TICK_S
 
-    Nothing is written unless standard error is a terminal and the work takes its time.
-    """
-    if not sys.stderr.isatty():
-        yield
-        return
-    ended = Event()
-    clock = Thread(target=_tick, args=(label, time.monotonic(), ended), daemon=True)
-    clock.start()
-    try:
-        yield
-    finally:
-        # Before anything else is written: an answer, or the reason why there is none.
-        ended.set()
-        clock.join()
-
-
-def _tick(label: str, start: float, ended: Event) -> None:
-    if ended.wait(_CLOCK_PATIENCE_S):
-        return
-    while True:
-        _write(f'\r{label}, {time.monotonic() - start:.0f} s')
-        if ended.wait(_TICK_S):
-            break
-    _write(_CLEAR)
-
-
-def _write(text: str) -> None:
-    print(text, end='', file=sys.stderr, flush=True)
+        clock = Thread(target=tick, daemon=True)
+        clock.start()
+        try:
+            yield
+        finally:
+            # Before anything else is written: an answer, or the reason why there is none.
+            ended.set()
+            clock.join()

@@ -144,10 +144,9 @@ def _read(
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:
     """Return the settings of the file, overridden by the options."""
-    given: dict[str, Any] = {name: getattr(arguments, name) for name in ('base', 'pairs')
-                             if getattr(arguments, name) is not None}
-    if arguments.leave_out_contradicting:
-        given['leave_out_contradicting'] = True
+    given: dict[str, Any] = {
+        name: value for name in ('base', 'pairs', 'leave_out_contradicting')
+        if (value := getattr(arguments, name))}
     if arguments.allow_unobserved:
         given['calibration'] = replace(config.calibration, allow_unobserved=True)
     return replace(config, **given)

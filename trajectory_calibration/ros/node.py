@@ -68,10 +68,9 @@ class CalibrationNode(Node):
 
     """
 
-    def __init__(self, **kwargs: Any) -> None:
+    def __init__(self) -> None:
         try:
-            super().__init__(
-                NODE_NAME, automatically_declare_parameters_from_overrides=True, **kwargs)
+            super().__init__(NODE_NAME, automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise ConfigError(
                 f'parameters: {error}; if one is an empty list, correct it') from error

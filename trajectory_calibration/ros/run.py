@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -20,9 +18,9 @@ from trajectory_calibration.ros.signals import StopSignals
 _HIGHEST_DOMAIN = 232
 
 
-def _init(args: Sequence[str] | None) -> None:
+def _init() -> None:
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except (RuntimeError, UnicodeEncodeError) as error:
         raise ConfigError(f'ROS arguments: {" ".join(str(error).split())}') from error
     domain = get_default_context().get_domain_id()
@@ -30,12 +28,11 @@ def _init(args: Sequence[str] | None) -> None:
         raise ConfigError(f'ROS_DOMAIN_ID is {domain}, needed 0 to {_HIGHEST_DOMAIN}')
 
 
-def main(args: Sequence[str] | None = None, stop: StopSignals | None = None) -> int:
+def main(stop: StopSignals) -> int:
     """Run the node until a signal, which ``stop`` notes; return the exit status."""
-    stop = stop or StopSignals()
     node = None
     try:
-        _init(args)
+        _init()
         executor = SingleThreadedExecutor()
         node = CalibrationNode()
         executor.add_node(node)
