@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import calibrate, CalibrationConfig
-from trajectory_calibration.errors import SolverError
+from trajectory_calibration.errors import CalibrationError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online import background
 from trajectory_calibration.online.advice import Advice, AdviceJob
@@ -57,7 +57,11 @@ def drive(seconds, axes=(0, 1, 2), seed=0, rate_hz=10.0, start_s=1000, extrinsic
 
 
 def advised(tracks, **settings):
-    return AdviceJob(*tracks, CalibrationConfig(max_time_offset=0, **settings)).run()
+    job = AdviceJob(*tracks, CalibrationConfig(max_time_offset=0, **settings))
+    try:
+        return job.run()
+    except CalibrationError as error:
+        return Advice(failure=str(error))
 
 
 def std_of(result):

@@ -14,7 +14,6 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import axis_name, DEGREES_OF_FREEDOM
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.track import Track
 from trajectory_calibration.pipeline import calibrate
@@ -93,15 +92,12 @@ class AdviceJob:
     config: CalibrationConfig
 
     def run(self) -> Advice:
-        """Calibrate; what fails is advice, too."""
+        """Calibrate; raises CalibrationError as ``calibrate``."""
         # A reference by number counts poses: thinned, it would be another one.
         a, b = (track.thinned() if self.config.reference == 'auto' else track
                 for track in (self.track_a, self.track_b))
-        config = replace(self.config, allow_unobserved=True)
-        try:
-            result = calibrate(a.trajectory(), b.trajectory(), config)
-        except CalibrationError as error:
-            return Advice(failure=str(error))
+        result = calibrate(a.trajectory(), b.trajectory(),
+                           replace(self.config, allow_unobserved=True))
         if result.covariance is None:
             return Advice(failure='the solver gives no standard deviations')
         # Only for the node's diagnostics: a mask of each motion is not worth sending.

@@ -101,6 +101,7 @@ class Background:
             self._settings = ()
             return None
         if isinstance(outcome, CalibrationError):
+            # What fails is advice, too; data that give no answer tell nothing of the extrinsic.
             outcome = (Verdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
                        else Advice(failure=str(outcome)))
         if isinstance(outcome, Advice):

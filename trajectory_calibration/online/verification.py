@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.fleet.verification import CANNOT_TELL, HOLDS, MOVED, verify
 from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.track import Track
@@ -61,13 +60,9 @@ class MonitorJob:
     config: CalibrationConfig
 
     def run(self) -> Verdict:
-        """Check; data that give no answer are 'cannot tell'."""
-        try:
-            found = verify(
-                self.result, self.track_a.thinned().trajectory(),
-                self.track_b.thinned().trajectory(), self.config)
-        except CalibrationError as error:
-            return Verdict(CANNOT_TELL, 3, f'cannot tell: {error}')
+        """Check; raises CalibrationError where the data give no answer."""
+        found = verify(self.result, self.track_a.thinned().trajectory(),
+                       self.track_b.thinned().trajectory(), self.config)
         return Verdict(found.verdict, found.exit_status, found.describe())
 
 
