@@ -180,7 +180,7 @@ def _require_overlap(
              f'{start_a * 1e-9:.3f} s')
     offset = (start_a - start_b) * 1e-9
     raise AssociationError(
-        f'no overlap in time: {order}. If both are of one drive that they began together, set '
+        f'no overlap in time: {order}. If both recordings of one drive began together, set '
         f'time_offset to about {offset + time_offset_ns * 1e-9:.3f}')
 
 
