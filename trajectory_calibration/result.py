@@ -209,12 +209,8 @@ class CalibrationResult:
     def from_dict(cls, data: dict[str, Any]) -> CalibrationResult:
         """Rebuild a result from ``to_dict``.
 
-        Raises
-        ------
-        ResultError
-            Keys missing, of the wrong kind, or of a newer format; numbers that are no rotation
-            or no covariance.
-
+        Raises ResultError for keys that are missing, of the wrong kind, or of a newer format, and
+        for numbers that are no rotation or no covariance.
         """
         try:
             data = {**_OLDER, **data}
@@ -249,24 +245,13 @@ class CalibrationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML to ``path``, whole or not at all.
 
-        Raises
-        ------
-        ResultError
-            The file cannot be written; an earlier file at ``path`` is left as it was.
-
+        Raises ResultError; an earlier file at ``path`` is then left as it was.
         """
         write_yaml(Path(path), self.to_dict())
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CalibrationResult:
-        """Read what ``save`` wrote.
-
-        Raises
-        ------
-        ResultError
-            No such file, not YAML, or not a result.
-
-        """
+        """Read what ``save`` wrote; raise ResultError for anything else."""
         data = read_yaml(Path(path), 'a result', ResultError)
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no calibration result; needed the result.yaml of a '

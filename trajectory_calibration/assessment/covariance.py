@@ -80,11 +80,7 @@ class MostLikely:
 def most_likely(pairs: PosePairs, config: CalibrationConfig) -> MostLikely:
     """Return what the data say of the extrinsic, by the solver that identifies the noise.
 
-    Raises
-    ------
-    MotionError, SolverError
-        As that solver: too few poses, no motion.
-
+    Raises MotionError and SolverError as that solver: too few poses, no motion.
     """
     motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
     solution = noise_identifier().load()(motions, config)

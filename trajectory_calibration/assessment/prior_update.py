@@ -34,18 +34,12 @@ _SETTLED = 1e-13
 def apply_prior(
     T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
 ) -> tuple[FloatArray, FloatArray]:
-    """Add the prior as one more residual to an answer with its covariance.
+    """Add the prior as one more residual to an answer with its (6, 6) covariance.
 
-    The answer of a solver and its (6, 6) covariance say what the motion knows; the most likely
-    extrinsic under both is a least-squares problem in six unknowns. It is iterated in the
-    rotation (iterated Kalman update), linear in everything else. About axes that the motion left
-    open it begins at the prior, however far that is.
-
-    Raises
-    ------
-    ConfigError
-        The prior turns what the motion knows too far for the covariance to hold there.
-
+    The most likely extrinsic under both is a least-squares problem in six unknowns, iterated in
+    the rotation (iterated Kalman update), linear in everything else. About axes that the motion
+    left open it begins at the prior, however far that is. Raises ConfigError where the prior turns
+    what the motion knows too far for the covariance to hold there.
     """
     if not prior.given:
         return T_a_b, covariance
@@ -108,9 +102,8 @@ def _open_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
     """Return the (6,) step about the open axes of an answer that takes it nearest to the prior.
 
-    About such an axis the answer of a solver is arbitrary, by any angle, and from there a step
-    that is linear in the rotation does not reach the prior. Zero where the translation that is
-    known goes along with the rotation, in a way that is not linear.
+    The answer about such an axis is arbitrary, by any angle, and a linear step does not reach the
+    prior. Zero where the translation that is known goes along with the rotation.
     """
     axes, variances = _open_axes(covariance)
     if not (len(variances) and np.isfinite(prior.rotation_std).any()):

@@ -68,11 +68,7 @@ class MotionPairs:
 def parse_reference(reference: str) -> tuple[str, int]:
     """Return the letter and the number of a reference: ('B', 5) of 'B5', ('A', 0) of 'A'.
 
-    Raises
-    ------
-    ConfigError
-        For anything else than 'A', 'B<n>' with n >= 1, or 'C<n>' with n >= 2.
-
+    Raises ConfigError for anything else than 'A', 'B<n>' with n >= 1, or 'C<n>' with n >= 2.
     """
     match = re.fullmatch(r'(A)|([BC])([1-9]\d{0,99})', reference.strip().upper())
     if match is None:
@@ -102,13 +98,7 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
       segment counts once the next one has begun, so that the last is dropped even where it is
       complete: with that, and only with that, the published figures come out to the digit.
 
-    Raises
-    ------
-    ConfigError
-        An unknown reference.
-    MotionError
-        Fewer than two motions: n too large for the number of poses.
-
+    Raises ConfigError as ``parse_reference``, MotionError for fewer than two motions.
     """
     letter, n = parse_reference(reference)
     # An n of more digits than an index holds leaves as little as one of as many as the poses.

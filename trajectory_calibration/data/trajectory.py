@@ -93,11 +93,7 @@ class Trajectory:
     ) -> Trajectory:
         """Build a trajectory from (N,) stamps, (N, 3) metres, (N, 4) quaternions x, y, z, w.
 
-        Raises
-        ------
-        TrajectoryError
-            As the class, and for quaternions whose norm is off 1 by more than 0.01.
-
+        Raises TrajectoryError as the class, and for a norm that is off 1 by more than 0.01.
         """
         p = _real_numbers(positions, 'positions', 'one row x, y, z per stamp')
         q = _real_numbers(quaternions_xyzw, 'quaternions', 'one row x, y, z, w per stamp')
@@ -134,6 +130,8 @@ class Trajectory:
     ) -> Trajectory:
         """Build a trajectory from what stands in a notebook.
 
+        Raises TrajectoryError as the class, and for times that no clock shows.
+
         Parameters
         ----------
         seconds : (N,)
@@ -144,11 +142,6 @@ class Trajectory:
             x, y, z, w of its orientation.
         world_frame, sensor_frame : str
             Names of the frames.
-
-        Raises
-        ------
-        TrajectoryError
-            Wrong shapes, numbers that are not finite, times that no clock shows.
 
         """
         time = _real_numbers(seconds, 'seconds', 'one per pose')

@@ -49,13 +49,7 @@ _IPOPT_OPTIONS = {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.max_iter': 200}
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic of lowest cost (rotation entries squared + m^2).
 
-    Raises
-    ------
-    MotionError
-        No motion at all.
-    SolverError
-        Ipopt stopped before a minimum.
-
+    Raises MotionError for no motion at all, SolverError where Ipopt stopped before a minimum.
     """
     quadratic.require_motion(motions)
     minimum, gap = lowest_minimum(quadratic.gram(motions), config.prior)
@@ -74,8 +68,7 @@ def lowest_minimum(
 ) -> tuple[quadratic.Minimum, float]:
     """Return the lowest minimum of ``v^T G v`` over SE(3), and its gap; see ``certify``.
 
-    The cost is not convex in the rotation: the search is over more and more of SO(3) until a
-    proof holds that no other rotation costs less.
+    The cost is not convex: the search is over more and more of SO(3) until it is proven.
     """
     for starts in (lambda: quadratic.linear_start(G)[None], lambda: None, _many_rotations):
         minimum = quadratic.minimise(G, starts(), prior)
@@ -109,13 +102,8 @@ def run_ipopt(
 ) -> tuple[FloatArray, float, int]:
     """Run the nonlinear program that ``program()`` returns; return x, cost and iterations.
 
-    Safe to call from several threads, which take turns.
-
-    Raises
-    ------
-    SolverError
-        Ipopt stopped before a minimum; the message ends with ``advice``.
-
+    Threads take turns. Raises SolverError, which ends with ``advice``, where Ipopt stopped before
+    a minimum.
     """
     with _IPOPT:
         # In a call of its own, so that a program that has left its cache ends inside the lock.

@@ -64,13 +64,8 @@ _PAPER_START = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic and the motions it keeps (cost: rotation entries squared + m^2).
 
-    Raises
-    ------
-    MotionError
-        No motion at all, or fewer than two motions are kept.
-    SolverError
-        Ipopt stopped before a minimum.
-
+    Raises MotionError for no motion at all, or fewer than two that are kept; SolverError where
+    Ipopt stopped before a minimum.
     """
     quadratic.require_motion(motions)
     cost = TrimmedCost.of(motions, config.dnlo_c, config.dnlo_min_inliers, config.prior)

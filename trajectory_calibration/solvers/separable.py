@@ -47,11 +47,7 @@ _HALF_TURN = np.deg2rad(170.0)
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic; its cost is the sum of squared residuals of the translation, m^2.
 
-    Raises
-    ------
-    MotionError
-        No motion at all, or too few motions of less than half a turn.
-
+    Raises MotionError for no motion at all, or too few motions of less than half a turn.
     """
     quadratic.require_motion(motions)
     motions, inliers, findings = leave_out_half_turns(motions)
@@ -68,13 +64,7 @@ def leave_out_half_turns(
 
     Returns the motions to use, which of the given ones they are, (M,), or None for all, and
     findings. With reference A all are kept, as in the published figures: its motions wind up to
-    half a turn wherever a vehicle turns round.
-
-    Raises
-    ------
-    MotionError
-        Fewer than two motions remain.
-
+    half a turn wherever a vehicle turns round. Raises MotionError where fewer than two remain.
     """
     angle = np.maximum(*(se3.rotation_angle(T[:, :3, :3]) for T in (motions.A, motions.B)))
     kept: NDArray[np.bool_] = angle < _HALF_TURN

@@ -55,14 +55,7 @@ _STEP_TOLERANCE = 1e-12
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
-    """Return the extrinsic at the minimum next to Kabsch's rotation.
-
-    Raises
-    ------
-    MotionError
-        No motion at all, or too few motions of less than half a turn.
-
-    """
+    """Return the extrinsic at the minimum next to Kabsch's rotation; raises as ``park``."""
     quadratic.require_motion(motions)
     motions, inliers, findings = leave_out_half_turns(motions)
     R_start = align_rotation_vectors(motions, config.prior)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers.diagnosis import Diagnosis, Jump
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
 from trajectory_calibration.solvers.drift_aware.drive import (
     correct,
@@ -21,6 +20,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
     SCALE,
 )
 from trajectory_calibration.solvers.drift_aware.fit import Fit
+from trajectory_calibration.solvers.solution import Diagnosis, Jump
 
 # A scale that far from one is no percentage any more.
 _ANOTHER_UNIT = 0.3
