@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.excitation import split_equations, split_pairs, thinned_to
+from trajectory_calibration.assessment.excitation import split_equations, split_pairs
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs, select_motions
@@ -140,7 +140,7 @@ def _from_residuals(
 
     The sandwich estimate, with as many degrees of freedom less as were fitted.
     """
-    motions = thinned_to(motions, _ENOUGH)
+    motions = motions.thinned(_ENOUGH)
     found = linearise(T_a_b, motions.A, T_a_b @ motions.B @ se3.inverse(T_a_b))
     Z = found.instrument @ basis
     bread = np.einsum('kri,krj->ij', Z, found.jacobian @ basis)

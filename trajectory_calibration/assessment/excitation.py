@@ -148,7 +148,7 @@ def split_equations(
     """Split the directions by the equations of a solver and the motions it kept."""
     if inliers is not None:
         motions = motions.picked(inliers)
-    motions = thinned_to(motions, _MOTIONS)
+    motions = motions.thinned(_MOTIONS)
     A, C = motions.A, T_a_b @ motions.B @ se3.inverse(T_a_b)
     of_a, of_b = linearise(T_a_b, A, A), linearise(T_a_b, C, C)
     Z_a, Z_b = of_a.instrument, of_b.instrument
@@ -160,11 +160,6 @@ def split_equations(
     basis, open_ = excited.basis, excited.unobserved
     inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
     return Excited(basis, scaled_to_unknown(open_ - open_ @ (inverse @ cross).T))
-
-
-def thinned_to(motions: MotionPairs, count: int) -> MotionPairs:
-    """Return every n-th motion, at most ``count``."""
-    return motions.picked(slice(None, None, max(1, -(-len(motions) // count))))
 
 
 def _excitation_by_noise(rows: FloatArray, block: int) -> FloatArray:

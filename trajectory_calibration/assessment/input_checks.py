@@ -24,11 +24,9 @@ from trajectory_calibration.assessment.orientation_checks import (
     require_orientation,
 )
 from trajectory_calibration.assessment.rigid_fit import (
-    as_read,
     best_fit,
     fits,
     growth,
-    mirrored,
     NOT_BY_NOISE,
     Read,
     RigidFit,
@@ -194,9 +192,13 @@ def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
                 and np.min(steps) > fit.way_apart)
 
 
+def _mirrored(poses: FloatArray) -> FloatArray:
+    return se3.from_rotation_translation(poses[:, :3, :3], -poses[:, :3, 3])
+
+
 def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
     """Raise MotionError where a mirrored world explains what is left."""
-    fit = best_fit(pairs, read_b=mirrored, seconds=(found.lag_s,))
+    fit = best_fit(pairs, read_b=_mirrored, seconds=(found.lag_s,))
     if fit is not None and fit.one_body and fit.misfit < _MUCH_LESS * found.misfit:
         raise MotionError(
             f'one of {frames} is in a left-handed frame: mirrored, {fit.turn_share:.1%} of '
@@ -245,16 +247,16 @@ def _other_readings(
     def fit_of(read_a: Read, read_b: Read) -> RigidFit | None:
         if found.one_body:
             return best_fit(pairs, read_a, read_b, (found.lag_s,))
-        if as_read not in (read_a, read_b):
+        if read_a and read_b:
             return best_fit(pairs, read_a, read_b)
-        read = [replace(trajectory, poses=how(trajectory.poses))
-                for trajectory, how in ((a, read_a), (b, read_b))]
+        anew_a, anew_b = (replace(trajectory, poses=read(trajectory.poses)) if read else trajectory
+                          for trajectory, read in ((a, read_a), (b, read_b)))
         with suppress(AssociationError):
-            return best_fit(match(read[0], read[1], config)[1])
+            return best_fit(match(anew_a, anew_b, config)[1])
         return None
 
     def of_one(what: str, option: str, read: Read) -> list[tuple[RigidFit, str, str]]:
-        single = ((fit_of(read, as_read), a, '-a'), (fit_of(as_read, read), b, '-b'))
+        single = ((fit_of(read, None), a, '-a'), (fit_of(None, read), b, '-b'))
         return [(fit, f'does {sensor.sensor_frame} hold {what}', option.format(name))
                 for fit, sensor, name in single if fit is not None]
 
@@ -285,15 +287,15 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
     advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
               'clocks (max_time_offset is how far apart they may be)')
-    if growth(found, 'turned_apart') > NOT_BY_NOISE or all(
+    if growth(found, 'turn') > NOT_BY_NOISE or all(
             item.turn_share >= _NO_TURN_SHARED and item.way_share >= _NO_WAY_SHARED
             for item in found):
-        turned = max(found, key=lambda item: item.turned_apart)
+        turned = max(found, key=lambda item: item.turn_apart)
         raise MotionError(
             f'{frames} did not turn together: over {counted(turned.lag, "pose")} they turn by '
-            f'{rounded(np.rad2deg(turned.turned))} deg and apart by '
-            f'{rounded(np.rad2deg(turned.turned_apart))} deg. {advice}')
-    moved = growth(found, 'way_apart')
+            f'{rounded(np.rad2deg(turned.turn))} deg and apart by '
+            f'{rounded(np.rad2deg(turned.turn_apart))} deg. {advice}')
+    moved = growth(found, 'way')
     if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
         apart = max(found, key=lambda item: item.way_apart)
         raise MotionError(

@@ -40,21 +40,11 @@ _LARGEST_TURN = 2.6
 
 # One body: the sensors turn apart by less than this share of their turns and move apart by less
 # than this share of their way, over one lag at least.
-_TURN_SHARE, _WAY_SHARE = 0.1, 0.2
+_ONE_BODY = {'turn': 0.1, 'way': 0.2}
 
 
-# How the (K, 4, 4) poses of a sensor are to be read.
-Read = Callable[[FloatArray], FloatArray]
-
-
-def as_read(poses: FloatArray) -> FloatArray:
-    """Return poses as they are."""
-    return poses
-
-
-def mirrored(poses: FloatArray) -> FloatArray:
-    """Return poses in a world whose axes point the other way."""
-    return se3.from_rotation_translation(poses[:, :3, :3], -poses[:, :3, 3])
+# How the (K, 4, 4) poses of a sensor are to be read; None: as they are.
+Read = Callable[[FloatArray], FloatArray] | None
 
 
 @dataclass(frozen=True)
@@ -64,7 +54,7 @@ class RigidFit:
     Attributes
     ----------
     lag, lag_s : in poses, and the time of ``LAGS_S`` that it stands for.
-    turned, turned_apart : radians, medians over the motions.
+    turn, turn_apart : radians, medians over the motions.
     turn_share : the same as a share, of the quarter of the motions that turns most.
     way_apart : metres that stay unexplained, median over the motions.
     way_share : the same as a share of the way, of the longer half of the motions.
@@ -73,8 +63,8 @@ class RigidFit:
 
     lag: int
     lag_s: float
-    turned: float
-    turned_apart: float
+    turn: float
+    turn_apart: float
     turn_share: float
     way_apart: float
     way_share: float
@@ -82,31 +72,31 @@ class RigidFit:
     @property
     def one_body(self) -> bool:
         """Tell whether the two move as one body."""
-        return self.turn_share < _TURN_SHARE and self.way_share < _WAY_SHARE
+        return self.misfit < 1
 
     @property
     def misfit(self) -> float:
         """Return the larger of both shares, relative to what one body leaves."""
-        return max(self.turn_share / _TURN_SHARE, self.way_share / _WAY_SHARE)
+        return max(self.turn_share / _ONE_BODY['turn'], self.way_share / _ONE_BODY['way'])
 
 
 def fits(
-    pairs: PosePairs, read_a: Read = as_read, read_b: Read = as_read,
+    pairs: PosePairs, read_a: Read = None, read_b: Read = None,
     seconds: Sequence[float] = LAGS_S,
 ) -> Iterator[RigidFit]:
     """Yield the fit over each lag that the pairs, read so, have enough motions for."""
-    seen = set()
+    lags: dict[int, float] = {}
     for lag_s in seconds:
-        (lag,) = lag_grid(pairs.stamps_ns, (lag_s,), 1.0)
-        if lag <= _LONGEST_SHARE * len(pairs) and lag not in seen:
-            seen.add(lag)
+        lags.setdefault(lag_grid(pairs.stamps_ns, (lag_s,), 1.0)[0], lag_s)
+    for lag, lag_s in lags.items():
+        if lag <= _LONGEST_SHARE * len(pairs):
             found = _fit(*_motions(pairs, lag, read_a, read_b), lag, lag_s)
             if found is not None:
                 yield found
 
 
 def best_fit(
-    pairs: PosePairs, read_a: Read = as_read, read_b: Read = as_read,
+    pairs: PosePairs, read_a: Read = None, read_b: Read = None,
     seconds: Sequence[float] = LAGS_S,
 ) -> RigidFit | None:
     """Return the first fit of one body, or else the best one; None where there is none."""
@@ -114,7 +104,7 @@ def best_fit(
     for fit in fits(pairs, read_a, read_b, seconds):
         found.append(fit)
         if fit.one_body and (fit.lag_s <= _SHORT_S or max(
-                growth(found, 'turned_apart'), growth(found, 'way_apart')) <= NOT_BY_NOISE):
+                growth(found, 'turn'), growth(found, 'way')) <= NOT_BY_NOISE):
             return fit
     # None of these is one body, however long the lag.
     return min((fit for fit in found if not fit.one_body),
@@ -127,35 +117,35 @@ def turn_share(pairs: PosePairs, lag: int, R_a_b: FloatArray) -> float:
     return _turn_share(se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]), R_a_b)
 
 
-def growth(found: Sequence[RigidFit], name: str) -> float:
+def growth(found: Sequence[RigidFit], what: str) -> float:
     """Return how much faster what is unexplained grows with the lag than independent errors do.
 
     Errors of each pose do not grow, those of each step grow with the root of the lag. What two
-    bodies do apart grows with the lag. ``name`` is that of the attribute; lags with no more
-    disagreement than one body has do not count.
+    bodies do apart grows with the lag. ``what`` is 'turn' or 'way'; lags with no more disagreement
+    than one body has do not count.
     """
-    share, limit = (('turn_share', _TURN_SHARE) if name == 'turned_apart'
-                    else ('way_share', _WAY_SHARE))
     ascending = sorted(found, key=lambda item: item.lag)
+    apart = [float(getattr(item, f'{what}_apart')) for item in ascending]
     factor = 1.0
     for k, item in enumerate(ascending):
-        if getattr(item, share) > limit:
-            likely = min((np.sqrt(item.lag / other.lag) * getattr(other, name)
-                          for other in ascending[:k]), default=0.0)
-            if likely > 0:
-                factor = max(factor, getattr(item, name) / likely)
+        likely = min((np.sqrt(item.lag / other.lag) * size
+                      for other, size in zip(ascending[:k], apart[:k], strict=True)), default=0.0)
+        if likely > 0 and getattr(item, f'{what}_share') > _ONE_BODY[what]:
+            factor = max(factor, apart[k] / likely)
     return factor
 
 
 def _motions(
-    pairs: PosePairs, lag: int, read_a: Read = as_read, read_b: Read = as_read,
+    pairs: PosePairs, lag: int, read_a: Read = None, read_b: Read = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (K, 4, 4) motions of a and b over a lag, as many as suffice."""
     count = len(pairs) - lag
     i = np.arange(0, count, max(1, -(-count // _MOTIONS)))
-    A, B = (se3.inverse(read(poses[i])) @ read(poses[i + lag])
-            for read, poses in ((read_a, pairs.poses_a), (read_b, pairs.poses_b)))
-    return A, B
+    found = []
+    for read, poses in ((read_a, pairs.poses_a), (read_b, pairs.poses_b)):
+        start, end = ((read(part) if read else part) for part in (poses[i], poses[i + lag]))
+        found.append(se3.inverse(start) @ end)
+    return found[0], found[1]
 
 
 def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | None:

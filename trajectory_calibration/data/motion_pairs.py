@@ -56,6 +56,10 @@ class MotionPairs:
         """Return some of the motions: those of a slice, a (M,) mask, or (k,) indices."""
         return replace(self, i=self.i[keep], j=self.j[keep], A=self.A[keep], B=self.B[keep])
 
+    def thinned(self, at_most: int) -> MotionPairs:
+        """Return every n-th motion, at most so many."""
+        return self.picked(slice(None, None, _every(len(self), at_most)))
+
     def scaled(self, scale: float) -> MotionPairs:
         """Return the motions with the translations of b multiplied by ``scale``."""
         if scale == 1.0:
@@ -63,6 +67,10 @@ class MotionPairs:
         B = self.B.copy()
         B[:, :3, 3] *= scale
         return replace(self, B=B, pairs=self.pairs.scaled(scale))
+
+
+def _every(count: int, at_most: int) -> int:
+    return max(1, -(-count // at_most))
 
 
 def parse_reference(reference: str) -> tuple[str, int]:
@@ -141,8 +149,7 @@ def select_motions(pairs: PosePairs, reference: str, at_most: int | None = None)
     Every n-th of them, ``at_most`` so many, where that is given; raises as ``reference_indices``.
     """
     i, j = reference_indices(reference, len(pairs))
-    if at_most is not None:
-        every = max(1, -(-len(i) // at_most))
-        i, j = i[::every], j[::every]
+    every = 1 if at_most is None else _every(len(i), at_most)
+    i, j = i[::every], j[::every]
     A, B = (se3.inverse(poses[i]) @ poses[j] for poses in (pairs.poses_a, pairs.poses_b))
     return MotionPairs(normal_reference(reference), i, j, A, B, pairs)

@@ -225,10 +225,7 @@ def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
 
 def linear_start(G: FloatArray) -> FloatArray:
     """Return the (3, 3) rotation next to the minimum over all matrices, rotations or not."""
-    eigenvalues, axes = np.linalg.eigh(G[:12, :12])
-    inverse = np.where(eigenvalues > _UNDETERMINED * eigenvalues[-1], 1.0 / np.maximum(
-        eigenvalues, np.finfo(float).tiny), 0.0)
-    v = -(axes * inverse) @ (axes.T @ G[:12, 12])
+    v = -np.linalg.pinv(G[:12, :12], rcond=_UNDETERMINED, hermitian=True) @ G[:12, 12]
     return se3.nearest_rotation(v[:9].reshape(3, 3))
 
 
