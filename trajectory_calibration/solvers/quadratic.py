@@ -130,8 +130,8 @@ def features(A: FloatArray, B: FloatArray) -> FloatArray:
     A and B are (M, 4, 4).
     """
     found = rows(A, B)
-    products = [np.einsum('rm,jrm->jm', found[i], found[i:]) for i in range(13)]
-    return _TWICE[:, None] * np.concatenate(products)
+    return _TWICE[:, None] * np.concatenate([
+        (found[i] * found[i:]).sum(axis=1) for i in range(13)])
 
 
 def form(sums: FloatArray) -> FloatArray:
@@ -175,8 +175,8 @@ def minimise(
     minimum = _lowest(G, starts)
     if not _determines_rotation(G, minimum.T_a_b):
         R_prior = np.eye(3) if prior is None else prior.rotation
-        rows = np.column_stack([np.eye(9), np.zeros((9, 3)), -R_prior.reshape(9)])
-        held = G + _HOLD * float(np.trace(G[:9, :9])) / 9 * rows.T @ rows
+        off = np.column_stack([np.eye(9), np.zeros((9, 3)), -R_prior.reshape(9)])
+        held = G + _HOLD * float(np.trace(G[:9, :9])) / 9 * off.T @ off
         minimum = _lowest(held, np.concatenate([starts, R_prior[None]]))
     return minimum
 
@@ -252,31 +252,26 @@ def minimise_rotations(
     ``G`` is one (13, 13) matrix or one for each start, (S, 13, 13). Returns the rotations, their
     costs (S,), and the number of iterations. It ends with steps below the tolerance, radians.
     """
-    F = np.broadcast_to(without_translation(G), (len(starts), 10, 10))
-    scale = np.maximum(np.einsum('kii->k', F[:, :9, :9]), np.finfo(float).tiny)
+    F = without_translation(G)
+    scale = np.maximum(np.einsum('...ii->...', F[..., :9, :9]), np.finfo(float).tiny)
+    F = np.broadcast_to(F / scale[..., None, None], (len(starts), 10, 10))
     R = np.array(starts)
-    cost = _cost(F, R)
-    damping = np.zeros(len(R))
-    iterations = 0
-    active = np.ones(len(R), bool)
-    while active.any() and iterations < _MAX_ITERATIONS:
+    cost, damping, done, iterations = _cost(F, R), np.zeros(len(R)), np.zeros(len(R), bool), 0
+    while not done.all() and iterations < _MAX_ITERATIONS:
         iterations += 1
-        k = np.flatnonzero(active)
-        gradient, hessian = _derivatives(F[k], R[k])
+        gradient, hessian = _derivatives(F, R)
         # A Newton step on the absolute eigenvalues: downhill also where the cost is not convex.
         eigenvalues, Q = np.linalg.eigh(hessian)
-        floor = 1e-12 * scale[k, None]
-        curvature = np.maximum(np.abs(eigenvalues), floor) + damping[k, None] * scale[k, None]
+        curvature = np.maximum(np.abs(eigenvalues), 1e-12) + damping[:, None]
         along = (np.swapaxes(Q, 1, 2) @ gradient[:, :, None])[:, :, 0] / curvature
         step = -(Q @ along[:, :, None])[:, :, 0]
-        moved = se3.exp_so3(step) @ R[k]
-        moved_cost = _cost(F[k], moved)
-        better = moved_cost <= cost[k]
-        R[k[better]], cost[k[better]] = moved[better], moved_cost[better]
-        damping[k] = np.where(better, damping[k] * 0.1, np.maximum(damping[k] * 10, 1e-3))
-        small = np.sum(step**2, axis=1) < tolerance**2
-        active[k] = ~(small | (~better & (damping[k] > 1e8)))
-    return R, cost, iterations
+        moved = se3.exp_so3(step) @ R
+        moved_cost = _cost(F, moved)
+        better = moved_cost <= cost
+        R[better], cost[better] = moved[better], moved_cost[better]
+        damping = np.where(better, damping * 0.1, np.maximum(damping * 10, 1e-3))
+        done |= (np.sum(step**2, axis=1) < tolerance**2) | (~better & (damping > 1e8))
+    return R, cost * scale, iterations
 
 
 def polish(
