@@ -62,15 +62,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class MostLikely:
-    """What the data say of the extrinsic.
-
-    Attributes
-    ----------
-    T_a_b : (4, 4), the mean.
-    covariance : (6, 6), of the mean.
-    findings : of the solver that identified the noise.
-
-    """
+    """What the data say of the extrinsic: mean (4, 4), its covariance (6, 6), findings of it."""
 
     T_a_b: FloatArray
     covariance: FloatArray

@@ -57,11 +57,8 @@ _MOTIONS = 4000
 class Excited:
     """The space of (dt, dtheta), split by what the motion says.
 
-    Attributes
-    ----------
-    basis : (6, 6 - K), columns that span the excited directions.
-    unobserved : (K, 6), the others, as long as the unknown may be; see ``UNKNOWN``.
-
+    ``basis`` (6, 6 - K) has columns that span the excited directions, ``unobserved`` (K, 6) are
+    the others, as long as the unknown may be; see ``UNKNOWN``.
     """
 
     basis: FloatArray
@@ -80,17 +77,9 @@ def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -
     """Split the directions by their excitation.
 
     In the basis that makes what each sensor saw the identity, what both saw has eigenvalues
-    near one where they saw the same turns, and near zero where each saw its own noise.
-
-    Parameters
-    ----------
-    shared, own : (6, 6)
-        Sums of what a saw times what b saw, and of what each saw times itself, the mean of both.
-    apart : (M, 6, 6)
-        What a saw minus what b saw.
-    block : int
-        As ``block_length``.
-
+    near one where they saw the same turns, and near zero where each saw its own noise. ``shared``
+    and ``own`` (6, 6) are sums of what a saw times what b saw, and of what each saw times itself,
+    the mean of both; ``apart`` (M, 6, 6) is what a saw minus what b saw.
     """
     largest = np.diagonal(own).reshape(2, 3).max(axis=1)
     scale = np.repeat(np.sqrt(np.maximum(largest, np.finfo(float).tiny)), 3)

@@ -53,14 +53,9 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class ReferenceChoice:
-    """A reference, and why.
+    """A reference, 'B6', and why; the explanation is empty where it was given and taken.
 
-    Attributes
-    ----------
-    reference : 'B6', ...
-    explanation : a sentence, or empty where the reference was given and taken.
-    known : what the data say of the extrinsic, where it was chosen by that.
-
+    ``known`` is what the data say of the extrinsic, where it was chosen by that.
     """
 
     reference: str

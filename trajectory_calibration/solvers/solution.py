@@ -49,14 +49,7 @@ class Linearise(Protocol):
 
 @dataclass(frozen=True)
 class Jump:
-    """A step in which the two trajectories part: a loop closure or a lost track.
-
-    Attributes
-    ----------
-    stamp_ns : time of the pose after it.
-    translation_m, rotation_rad : its size.
-
-    """
+    """A step, up to a stamp, in which the two trajectories part: loop closure or lost track."""
 
     stamp_ns: int
     translation_m: float
