@@ -225,6 +225,7 @@ def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
     away = se3.log_se3(se3.inverse(motion[0]) @ motion)
     nothing = np.zeros((*away.shape[:2], 1, 6))
     running = np.cumsum(np.concatenate([nothing, away], axis=2), axis=2)
+    # A step is the mean of as many samples from a cut on less that of those before.
     cuts = np.arange(half, 3 * half)
     step = running[:, :, cuts + half] - 2 * running[:, :, cuts] + running[:, :, cuts - half]
     known = grid.known[:, index].all(axis=(0, 2))

@@ -72,8 +72,8 @@ class Tree:
     C : (P, 6, P, 6), joint covariance of the answers.
     start : (S, 4, 4), sensors in the base, roughly.
     limits : (6,), deviations from which a direction is open.
-    levels, noise, grid : what the common windows say, or nothing without trajectories.
-    sensor_noise : (S,), None without trajectories.
+    sensor_noise : (S,), None where too few windows tell.
+    levels, noise, grid : what the common windows say; without trajectories nothing.
 
     """
 
@@ -87,9 +87,9 @@ class Tree:
     start: FloatArray
     limits: FloatArray
     sensor_noise: tuple[SensorNoise | None, ...]
-    levels: tuple[Level, ...] = ()
-    noise: FloatArray | None = None
-    grid: Grid | None = None
+    levels: tuple[Level, ...]
+    noise: FloatArray | None
+    grid: Grid | None
 
     def free_twists(self) -> list[FloatArray]:
         """Return (S,) the (6, K) twists about the base that even the best pair leaves open."""
@@ -139,6 +139,7 @@ def build_tree(
     limits = limits_of(settings)
     start = _agree_in_what_is_open(answers, stated, ends, sensors, limits)
     levels: list[Level] = []
+    grid = None
     if all(name in trajectories for name in names):
         grid = common_grid([
             track_of(trajectories[name], clock, float(scale), X)
@@ -146,33 +147,31 @@ def build_tree(
             round(settings.max_gap * 1e9))
         levels = levels_of(grid)
     log_scale_stds = np.array([log_scale_std_of(result) for result in results])
-    least = _of_base(sensors, ends, log_scale_stds)
-    if len(levels) < _FEWEST_LEVELS:
-        stds = fuse_numbers(
-            sensors, ends, logs, np.diag(np.maximum(log_scale_stds, 0.1 * _ROUNDING)**2))[1]
-        stds = scales * np.maximum(stds, least)
-        stds[stds < _ROUNDING] = 0.0
-        C = carried_to_stated(assumed_correlations(sensors, ends), stated, start, ends)
-        return Tree(tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
-                    (None,) * sensors)
-    variances = sensor_variances(levels, start)
-    noise = covariances(variances, start)
-    M = joint_covariance(levels, noise, ends, free_scale)
-    C = carried_to_stated(correlations(M[:, TWIST][:, :, :, TWIST]), stated, start, ends)
-    # The solvers state more or less than the windows have: clocks and scales follow them.
-    clocks = _clocks(sensors, ends, results, _raised(
-        M[:, CLOCK, :, CLOCK], np.array([offset_std_of(result) for result in results])), epoch_ns)
-    # Where no scale was looked for, it is as known as the unit of the sensors.
-    looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
-    logs_of, stds = fuse_numbers(sensors, ends, logs, _raised(
-        M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds))
-    scales = np.exp(logs_of)
-    stds = scales * np.maximum(stds, least)
-    unit = (np.abs(logs_of) < _ROUNDING) & (stds < _ROUNDING)
+    noise: FloatArray | None = None
+    sensor_noise: Sequence[SensorNoise | None] = [None] * sensors
+    together = assumed_correlations(sensors, ends)
+    of_logs = np.diag(np.maximum(log_scale_stds, 0.1 * _ROUNDING)**2)
+    if len(levels) >= _FEWEST_LEVELS:
+        variances = sensor_variances(levels, start)
+        noise, sensor_noise = covariances(variances, start), white_and_drift(levels, variances)
+        M = joint_covariance(levels, noise, ends, free_scale)
+        together = correlations(M[:, TWIST][:, :, :, TWIST])
+        # The solvers state more or less than the windows have: clocks and scales follow them.
+        stds = np.array([offset_std_of(result) for result in results])
+        clocks = _clocks(
+            sensors, ends, results, _raised(M[:, CLOCK, :, CLOCK], stds), epoch_ns)
+        # Where no scale was looked for, it is as known as the unit of the sensors.
+        looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
+        of_logs = _raised(M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds)
+        scales = np.exp(fuse_numbers(sensors, ends, logs, of_logs)[0])
+    stds = scales * np.maximum(fuse_numbers(sensors, ends, logs, of_logs)[1],
+                               _of_base(sensors, ends, log_scale_stds))
+    unit = (np.abs(np.log(scales)) < _ROUNDING) & (stds < _ROUNDING)
     scales[unit], stds[unit] = 1.0, 0.0
     return Tree(
-        tuple(names), ends, clocks, scales, stds, answers, C, start, limits,
-        tuple(white_and_drift(levels, variances)), tuple(levels), noise, grid)
+        tuple(names), ends, clocks, scales, stds, answers,
+        carried_to_stated(together, stated, start, ends), start, limits, tuple(sensor_noise),
+        tuple(levels), noise, grid)
 
 
 def offset_std_of(result: CalibrationResult) -> float:
