@@ -35,7 +35,7 @@ def slower(trajectory, factor):
 def test_times_in_another_unit(factor, words):
     a, b = (slower(trajectory, factor) for trajectory in (RUN.a, RUN.b))
     assert words in time_doubts(a)[0].text
-    assert words in inspect_trajectory(a, 'a', 'file').findings[0].text
+    assert words in inspect_trajectory(a, 'a', 'file')['findings'][0]['text']
     # Their stamps coincide, whatever the unit.
     assert words in calibrate(a, b).warnings[0]
     apart = replace(b, stamps_ns=b.stamps_ns + factor * 10**7)
@@ -58,7 +58,8 @@ def test_steps_that_differ_as_units_do_where_no_time_is_common():
 def test_millimetres():
     a = RUN.a.scaled(1000.0)
     assert 'are its positions in metres? Divide millimetres by 1000' in position_doubts(a)[0].text
-    assert inspect_trajectory(a, 'a', 'file').findings == position_doubts(a)
+    assert inspect_trajectory(a, 'a', 'file')['findings'] == [
+        found.to_dict() for found in position_doubts(a)]
     found = calibrate(a, RUN.b)
     assert position_doubts(a)[0] in found.findings
     # The ground is hilly: it is not the turning that is too little.

@@ -75,11 +75,11 @@ def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
         read_as = FileSource(path, **options.of_files()).describe()
     found = inspect_trajectory(trajectory, str(path), 'file')
     # The path stands above the findings, and no format of files names its frames.
-    found = replace(found, findings=tuple(
-        replace(one, text=one.text.removeprefix(f'{path.name}: ').removeprefix(f'{path}: '))
-        for one in found.findings))
-    described = {**found.to_dict(), 'sensor_frame': None, 'world_frame': None, 'read_as': read_as}
-    return {'path': str(path), 'notes': [], 'trajectories': [described], 'other': []}
+    for one in found['findings']:
+        one['text'] = one['text'].removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
+    found.update(sensor_frame=None, world_frame=None, read_as=read_as,
+                 warnings=[one['text'] for one in found['findings']])
+    return {'path': str(path), 'notes': [], 'trajectories': [found], 'other': []}
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:
@@ -120,4 +120,4 @@ def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
                 'error': str(error)}
     # The transforms between two frames are some of those in a message.
     counted = {} if track.topic.startswith(TF_PREFIX) else {'messages': track.messages}
-    return {**found.to_dict(), **counted}
+    return {**found, **counted}

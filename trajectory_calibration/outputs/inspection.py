@@ -4,14 +4,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from trajectory_calibration.assessment.observability import axis_name, translation_gain
 from trajectory_calibration.assessment.orientation_checks import order_doubts
-from trajectory_calibration.data.findings import Finding, texts, worst_first
+from trajectory_calibration.data.findings import texts, worst_first
 from trajectory_calibration.data.plausibility import position_doubts, time_doubts
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
@@ -31,78 +30,42 @@ _WEAK = 0.1
 _GAP_FACTOR = 5.0
 
 
-@dataclass(frozen=True)
-class Inspection:
-    """One trajectory in numbers and words.
+def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str, Any]:
+    """Describe a trajectory, and judge whether its motion can determine an extrinsic.
 
-    Attributes
-    ----------
-    name : the file or the topic.
-    kind : the format or the type.
-    sensor_frame, world_frame : names of its frames.
-    poses : how many.
-    start_s, duration_s : time of the first pose, and from there to the last, seconds.
-    rate_hz : of the median step.
-    gaps : steps more than five times the median.
-    longest_gap_s : the longest step, seconds.
-    path_length_m : sum of the distances between poses; noise adds to it.
-    turned_deg : root mean square rotation about x, y, z of the sensor in two seconds, degrees.
-    motion : 'sufficient', 'weak' or 'insufficient' for a calibration.
-    advice : the same in words, and what to drive.
-    findings : what was repaired or left out, and questions about its units.
-
+    Return plain data for JSON, with the unit in each name.
     """
-
-    name: str
-    kind: str
-    sensor_frame: str
-    world_frame: str
-    poses: int
-    start_s: float
-    duration_s: float
-    rate_hz: float
-    gaps: int
-    longest_gap_s: float
-    path_length_m: float
-    turned_deg: tuple[float, ...]
-    motion: str
-    advice: str
-    findings: tuple[Finding, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {**asdict(self), 'findings': [found.to_dict() for found in self.findings],
-                'warnings': list(texts(self.findings))}
-
-
-def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> Inspection:
-    """Describe a trajectory, and judge whether its motion can determine an extrinsic."""
     steps_s = np.diff(trajectory.stamps_ns) * 1e-9
     usual_s = float(np.median(steps_s))
     rotations = _motions_over_window(trajectory)
     turned = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
-    gain, axes = translation_gain(rotations)
-    motion, advice = _judge(gain, axes)
-    return Inspection(
-        name=name,
-        kind=kind,
-        sensor_frame=trajectory.sensor_frame,
-        world_frame=trajectory.world_frame,
-        poses=len(trajectory),
-        start_s=float(trajectory.stamps_ns[0]) * 1e-9,
-        duration_s=trajectory.duration_s,
-        rate_hz=1.0 / usual_s,
-        gaps=int(np.count_nonzero(steps_s > _GAP_FACTOR * usual_s)),
-        longest_gap_s=float(steps_s.max()),
-        path_length_m=float(
+    motion, advice = _judge(*translation_gain(rotations))
+    findings = worst_first((
+        *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory),
+        *order_doubts(trajectory)))
+    return {
+        # The file or the topic, its format or type.
+        'name': name,
+        'kind': kind,
+        'sensor_frame': trajectory.sensor_frame,
+        'world_frame': trajectory.world_frame,
+        'poses': len(trajectory),
+        'start_s': float(trajectory.stamps_ns[0]) * 1e-9,
+        'duration_s': trajectory.duration_s,
+        # Of the median step.
+        'rate_hz': 1.0 / usual_s,
+        'gaps': int(np.count_nonzero(steps_s > _GAP_FACTOR * usual_s)),
+        'longest_gap_s': float(steps_s.max()),
+        # Noise adds to it.
+        'path_length_m': float(
             np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum()),
-        turned_deg=tuple(np.rad2deg(turned).tolist()),
-        motion=motion,
-        advice=advice,
-        findings=worst_first((
-            *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory),
-            *order_doubts(trajectory))),
-    )
+        # Root mean square over the window, about x, y, z of the sensor.
+        'turned_deg': np.rad2deg(turned).tolist(),
+        'motion': motion,
+        'advice': advice,
+        'findings': [found.to_dict() for found in findings],
+        'warnings': list(texts(findings)),
+    }
 
 
 def _motions_over_window(trajectory: Trajectory) -> FloatArray:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
-from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.errors import counted, in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -31,28 +30,21 @@ def format_result(
 ) -> str:
     """Return the screen of a result: the answer, then what a person should know of it.
 
-    Parameters
-    ----------
-    result : CalibrationResult
-        To show.
-    T_a_b_true : (4, 4), optional
-        Known extrinsic: adds the error of each number.
-    verbose : bool
-        All findings, and how the answer was made.
-    terminal : Terminal, optional
-        Width and colours; plain text of 99 columns where omitted.
-
+    ``T_a_b_true``, (4, 4), adds the error of each number; ``verbose`` all findings, and how the
+    answer was made.
     """
     terminal = terminal or Terminal()
     rows = answer_rows(result, T_a_b_true)
-    a, b = result.frame_a, result.frame_b
+    a, b, config = result.frame_a, result.frame_b, result.config
     lines = [terminal.paint(f'Pose of {b} in {a}', 'head')
-             + terminal.paint(f'   p_{a} = T p_{b}', 'soft')]
-    lines += _answer(rows, terminal)
+             + terminal.paint(f'   p_{a} = T p_{b}', 'soft'), *_answer(rows, terminal)]
     if T_a_b_true is not None:
         lines.append('  error against the ground truth: ' + error_words(
             result.T_a_b, T_a_b_true, result.observability.status))
-    lines += _legend(result, terminal)
+    prior = '; prior: given beforehand' if 'prior' in result.observability.status.values() else ''
+    legend = (f'+-: 1 standard deviation. ok: at most {config.weak_translation:g} m, '
+              f'{config.weak_rotation:g} deg; weak: more; unknown: not determined{prior}.')
+    lines += [terminal.paint(line, 'soft') for line in terminal.wrapped(legend, '  ', '  ')]
     # The marks show what is weak; other warnings are news.
     lines += finding_lines(
         sorted(result.findings, key=lambda found: found.code == 'direction-weak'), terminal,
@@ -80,32 +72,24 @@ def transform_words(
 
 def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
     """Return the six numbers in columns, the points below each other."""
-    parts = [row.value_text.partition('.') for row in rows if row.is_known]
-    before = max([len(whole) for whole, _, _ in parts] + [4])
+    parts = [row.value_text.partition('.') for row in rows]
+    before = max([len(whole) for whole, point, _ in parts if point] + [4])
     after = max([len(digits) for _, _, digits in parts] + [3])
     lines = []
-    for row in rows:
-        whole, point, digits = row.value_text.partition('.')
+    for row, (whole, point, digits) in zip(rows, parts, strict=True):
         shown = (f'{whole:>{before}}.{digits:<{after}}' if point else
                  whole.rjust(before + after + 1))
         std = f'+- {row.std_text}' if row.std_text else ''
         unit = row.unit if row.is_known else ''
         line = f'  {row.name:<5} {shown} {std:<{after + 6}} {unit:<3}  '
-        mark = terminal.paint(f'{row.word:<7}', row.word)
-        error = f'  error {row.error_text} {row.unit}' if row.error_text else ''
+        line += terminal.paint(f'{row.word:<7}', row.word)
+        if row.error_text:
+            line += f'  error {row.error_text} {row.unit}'
         if row.sigma is not None:
             ratio = in_sigmas(row.sigma, 1)
-            error += f' {ratio} sigma' if ratio.startswith('>') else f' = {ratio} sigma'
-        lines.append((line + mark + error).rstrip())
+            line += f' {ratio} sigma' if ratio.startswith('>') else f' = {ratio} sigma'
+        lines.append(line.rstrip())
     return lines
-
-
-def _legend(result: CalibrationResult, terminal: Terminal) -> list[str]:
-    config = result.config
-    prior = '; prior: given beforehand' if 'prior' in result.observability.status.values() else ''
-    text = (f'+-: 1 standard deviation. ok: at most {config.weak_translation:g} m, '
-            f'{config.weak_rotation:g} deg; weak: more; unknown: not determined{prior}.')
-    return [terminal.paint(line, 'soft') for line in terminal.wrapped(text, '  ', '  ')]
 
 
 def finding_lines(
@@ -127,29 +111,30 @@ def details(result: CalibrationResult) -> dict[str, str]:
     """Return how the answer was made, by the name of each thing."""
     a, b = result.frame_a, result.frame_b
     quaternion = transform_words(result, 6, 6)[3:]
-    rows = {'quaternion': 'unknown' if 'unknown' in quaternion else '  '.join(
-        f'{name} {word}' for name, word in zip('xyzw', quaternion, strict=True))}
+    rows = {'quaternion': 'unknown' if 'unknown' in quaternion else _named(quaternion, 'xyzw')}
     if result.covariance is not None:
-        words = [f'{name} {word}' for name, word in zip(
-            'xyzxyz', deviation_words(result.covariance), strict=True)]
-        rows['translation std'] = f'{"  ".join(words[:3])} m, along the axes of {a}'
-        rows['rotation std'] = f'{"  ".join(words[3:])} deg, about the axes of {a}'
+        words = deviation_words(result.covariance)
+        rows['translation std'] = f'{_named(words[:3])} m, along the axes of {a}'
+        rows['rotation std'] = f'{_named(words[3:])} deg, about the axes of {a}'
     reference = result.reference or result.config.reference
     rows['fit residual'] = (
         f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
         f'{reference_words(reference)} (not the accuracy)')
-    rows['rotation'] = (f'{_named(result.observability.excitation_deg, "xyz", 2)} deg rms per '
+    rows['rotation'] = (f'{_turned(result.observability.excitation_deg)} deg rms per '
                         f'motion, about the axes of {a}')
     rows['data'] = _describe_data(result)
+    diagnosis = result.diagnosis or {}
     if result.scale != 1.0:
-        rows['scale'] = f'{_describe_scale(result)} on the translations of {b}'
+        deviation = diagnosis.get('scale_deviation')
+        # That of what was found on top of the setting.
+        known = '' if deviation is None else f' +- {result.config.scale * deviation:#.2g}'
+        rows['scale'] = f'{result.scale:#.6g}{known} on the translations of {b}'
     if result.time_offset_s:
         rows['clock offset'] = f'{fixed(result.time_offset_s, 4)} s added to the stamps of {b}'
     if result.clock_drift:
         rows['clock drift'] = f'{1e6 * result.clock_drift:+.1f} ppm on {b}, zero in its middle'
-    jumps = (result.diagnosis or {}).get('jumps')
-    if jumps:
-        rows['jumps'] = f'{len(jumps)} excluded'
+    if diagnosis.get('jumps'):
+        rows['jumps'] = f'{len(diagnosis["jumps"])} excluded'
     rows['method'] = f'{result.config.solver}, version {result.version}'
     if result.reference_choice:
         rows['reference'] = result.reference_choice
@@ -203,7 +188,7 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
             'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
             'time': f'{item["duration_s"]:.3f} s from {item["start_s"]:.3f}',
             'path': f'{item["path_length_m"]:.2f} m',
-            'turned about': f'{_named(item["turned_deg"], "xyz", 2)} deg rms in 2 s',
+            'turned about': f'{_turned(item["turned_deg"])} deg rms in 2 s',
             'motion': f'{item["motion"]}: {item["advice"]}',
         })
     if 'transforms' in found:
@@ -223,36 +208,26 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
     return '\n'.join(lines) + '\n'
 
 
-def _describe_scale(result: CalibrationResult) -> str:
-    """Return the scale to six digits, also in another unit, and its deviation if it has one."""
-    deviation = (result.diagnosis or {}).get('scale_deviation')
-    # That of what was found on top of the setting.
-    known = '' if deviation is None else f' +- {result.config.scale * deviation:#.2g}'
-    return f'{result.scale:#.6g}{known}'
-
-
 def _describe_data(result: CalibrationResult) -> str:
     summary = result.association
     kept = '' if result.inliers is None else f', {np.count_nonzero(result.inliers):,} kept'
     one, other = ('a', 'b') if summary.stamps_of == 'b' else ('b', 'a')
     how = (f'{one} interpolated at the stamps of {other}' if summary.method == 'interpolate'
            else 'nearest stamps')
-    return (f'{counted(result.poses, "pose pair")} ({how}) of {summary.poses_a:,} and '
-            f'{summary.poses_b:,} poses, {counted(result.motions, "motion")}{kept}'
-            f'{_unused(summary, other)}')
-
-
-def _unused(summary: AssociationSummary, sensor: str) -> str:
-    """Return how many poses of the sensor whose stamps were used have no partner, and why."""
     reasons = ((summary.in_gaps, 'in gaps'), (summary.outside, 'outside the common time'),
                (summary.between, 'between poses'))
-    words = [f'{count} {reason}' for count, reason in reasons if count]
-    return f'; unused poses of {sensor}: {", ".join(words)}' if words else ''
+    unused = ', '.join(f'{count} {reason}' for count, reason in reasons if count)
+    return (f'{counted(result.poses, "pose pair")} ({how}) of {summary.poses_a:,} and '
+            f'{summary.poses_b:,} poses, {counted(result.motions, "motion")}{kept}'
+            + (f'; unused poses of {other}: {unused}' if unused else ''))
 
 
-def _named(values: Iterable[float], names: Iterable[str], digits: int) -> str:
-    return '  '.join(
-        f'{name} {fixed(value, digits)}' for name, value in zip(names, values, strict=True))
+def _named(words: Iterable[str], names: str = 'xyz') -> str:
+    return '  '.join(f'{name} {word}' for name, word in zip(names, words, strict=True))
+
+
+def _turned(degrees: Iterable[float]) -> str:
+    return _named(fixed(value, 2) for value in degrees)
 
 
 def _marked(found: Iterable[tuple[str, str]], terminal: Terminal) -> list[str]:
