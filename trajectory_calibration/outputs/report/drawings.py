@@ -29,41 +29,34 @@ def distance_over_time(data: ReportData) -> Plot:
     return _apart_over_time(data, data.tracks.distance_m, 'distance between the tracks', 'm')
 
 
-def distance_over_path(data: ReportData) -> Plot:
-    """Draw the distance between the tracks against the distance driven."""
-    tracks = data.tracks
-    high = max(float(tracks.distance_m.max()), 1e-6) * 1.08
-    end = float(tracks.path_m[-1])
-    unit, name = (1e-3, 'km') if end > 3000 else (1.0, 'm')
-    plot = Plot((0.0, max(end * unit, 1e-6)), (0.0, high), name='distance over the path',
-                x_label=f'driven, {name}', y_label='m')
-    plot.line(tracks.path_m * unit, tracks.distance_m, 'line-a')
-    return plot
-
-
 def angle_over_time(data: ReportData) -> Plot:
     """Draw the difference of orientation between the tracks, with jumps."""
     return _apart_over_time(data, data.tracks.angle_deg, 'difference of orientation', 'deg')
 
 
 def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> Plot:
-    seconds = data.tracks.seconds
+    seconds, jumps = data.tracks.seconds, data.tracks.largest_jumps(_MOST_JUMPS)
     high = max(float(apart.max()), 1e-6) * 1.08
     plot = Plot((0.0, float(seconds[-1])), (0.0, high), name=name, x_label='time, s', y_label=unit)
     plot.line(seconds, apart, 'line-a')
-    _mark_jumps(plot, data, high)
+    plot.dots(seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
     return plot
 
 
-def _mark_jumps(plot: Plot, data: ReportData, high: float) -> None:
-    jumps = data.tracks.largest_jumps(_MOST_JUMPS)
-    plot.dots(data.tracks.seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
+def distance_over_path(data: ReportData) -> Plot:
+    """Draw the distance between the tracks against the distance driven."""
+    path, apart = data.tracks.path_m, data.tracks.distance_m
+    unit, name = (1e-3, 'km') if path[-1] > 3000 else (1.0, 'm')
+    plot = Plot((0.0, max(float(path[-1]) * unit, 1e-6)),
+                (0.0, max(float(apart.max()), 1e-6) * 1.08), name='distance over the path',
+                x_label=f'driven, {name}', y_label='m')
+    plot.line(path * unit, apart, 'line-a')
+    return plot
 
 
 def rotation_by_axis(data: ReportData) -> Plot:
     """Draw the rotation of a motion about each axis, with what is needed."""
-    found = np.array(data.result.observability.excitation_deg)
-    need = data.need_deg
+    found, need = np.array(data.result.observability.excitation_deg), data.need_deg
     values = found if need is None else np.append(found, need)
     low = 10.0 ** np.floor(np.log10(max(float(values[values > 0].min(initial=1.0)) / 1.5, 1e-4)))
     high = max(float(values.max()) * 1.7, 10 * low)
@@ -82,22 +75,20 @@ def rotation_by_axis(data: ReportData) -> Plot:
 
 def deviation_over_time(data: ReportData, *, rotation: bool) -> Plot:
     """Draw the standard deviations against driving time."""
-    parts, config = data.parts, data.result.config
-    columns = range(3, 6) if rotation else range(3)
-    limit = config.weak_rotation if rotation else config.weak_translation
-    values = parts.growth_std[:, list(columns)]
+    part = slice(3, 6) if rotation else slice(0, 3)
+    values, limit = data.parts.growth_std[:, part], data.rows[part.start].weak_limit
     shown = values[np.isfinite(values) & (values > 0)]
     low = max(min(float(shown.min(initial=limit)), limit) / 1.6, 1e-5)
     high = max(float(shown.max(initial=limit)), limit) * 1.6
     plot = Plot((0.0, float(data.tracks.seconds[-1])), (low, high), log_y=True,
                 name='standard deviation against driving time', x_label='driven, s',
-                y_label=f'{unit_of(columns[0])}, standard deviation')
+                y_label=f'{unit_of(part.start)}, standard deviation')
     if low < limit < high:
         # At the end where the curves are not.
         plot.horizontal(
             limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
-    for k in columns:
-        plot.line(parts.growth_s, parts.growth_std[:, k], f'line-{"xyz"[k % 3]}')
+    for axis, std in zip('xyz', values.T, strict=True):
+        plot.line(data.parts.growth_s, std, f'line-{axis}')
     return plot
 
 
@@ -130,8 +121,8 @@ def residual_over_time(data: ReportData, k: int) -> Plot:
     """Draw the residuals of one number with three standard deviations of the noise."""
     found = data.residuals
     values, sigma = found.values[:, k], found.sigma[:, k]
-    size = np.abs(values[~found.excluded]) if (~found.excluded).any() else np.abs(values)
-    reach = max(float(np.quantile(size, _MOST)) * 1.15, 3.3 * float(np.median(sigma)), 1e-9)
+    size = float(np.quantile(np.abs(found.of_used()[0][:, k]), _MOST))
+    reach = max(size * 1.15, 3.3 * float(np.median(sigma)), 1e-9)
     plot = Plot((0.0, float(found.seconds[-1])), (-reach, reach), height=150,
                 name=f'residual {AXES[k]} over time', x_label='time, s',
                 y_label=f'{AXES[k]}, {unit_of(k)}')
@@ -145,16 +136,10 @@ def residual_over_time(data: ReportData, k: int) -> Plot:
 
 def histogram(data: ReportData) -> Plot:
     """Draw the residuals over their likely size, beside a normal distribution."""
-    found = data.residuals
-    z = found.values[~found.excluded] / np.maximum(found.sigma[~found.excluded], 1e-300)
+    z = np.clip(data.residuals.of_used()[1], -5, 5)
+    shares = [np.histogram(part, 40, (-5, 5), density=True)[0] for part in (z[:, :3], z[:, 3:])]
     edges = np.linspace(-5, 5, 41)
-    peak = 0.45
-    shares = []
-    for part in (z[:, :3], z[:, 3:]):
-        count, _ = np.histogram(np.clip(part, -5, 5), edges)
-        share = count / max(1, part.size) / (edges[1] - edges[0])
-        shares.append(share)
-        peak = max(peak, float(share.max()) * 1.1)
+    peak = max(0.45, 1.1 * float(np.max(shares)))
     plot = Plot((-5, 5), (0.0, min(peak, 2.0)), name='histogram of normalised residuals',
                 x_label='residual / expected standard deviation', y_label='share')
     grid = np.linspace(-5, 5, 101)

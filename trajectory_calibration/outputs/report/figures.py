@@ -60,8 +60,7 @@ def label(value: float) -> str:
 def limits(*arrays: ArrayLike, include: Sequence[float] = (), pad: float = 0.06) -> tuple[
         float, float]:
     """Return an interval that holds all finite numbers with a little room; never empty."""
-    values = np.concatenate([np.ravel(np.asarray(array, dtype=np.float64)) for array in arrays]
-                            + [np.asarray(include, dtype=np.float64)])
+    values = np.concatenate([np.ravel(array) for array in (*arrays, include)])
     values = values[np.isfinite(values)]
     if not len(values):
         return 0.0, 1.0
@@ -119,12 +118,7 @@ class Canvas:
 class Scene(Canvas):
     """A picture to scale of places in metres, two axes of a frame seen along the third.
 
-    Parameters
-    ----------
-    name, width, height : of the picture.
-    middle : (2,), what stands in its centre.
-    pixels : units of the picture per metre.
-
+    ``middle``, (2,), stands in its centre; ``pixels`` are units of the picture per metre.
     """
 
     def __init__(
@@ -136,19 +130,17 @@ class Scene(Canvas):
     @classmethod
     def around(
         cls, points: FloatArray, name: str, width: float, height: float, *, margin: float = 24,
-        least: float = 1e-9,
     ) -> Scene:
-        """Return a scene that holds (N, 2) points; ``least`` metres fill it."""
+        """Return a scene that holds (N, 2) points."""
         low, high = points.min(axis=0), points.max(axis=0)
         room = np.array([width - 2 * margin, height - 2 * margin])
         return cls(name, width, height, 0.5 * (low + high),
-                   float(np.min(room / np.maximum(high - low, least))))
+                   float(np.min(room / np.maximum(high - low, 1e-9))))
 
     def place(self, points: ArrayLike) -> FloatArray:
         """Return where (N, 2) points, or one, stand in the picture."""
-        placed: FloatArray = (np.asarray(points, dtype=np.float64) - self._middle) * [
-            self.pixels, -self.pixels] + [self.width / 2, self.height / 2]
-        return placed
+        return (np.asarray(points, dtype=np.float64) - self._middle) * [
+            self.pixels, -self.pixels] + np.array([self.width / 2, self.height / 2])
 
     def line(self, points: FloatArray, style: str = '', css: str = '', *, closed: bool = False,
              ) -> None:
@@ -217,14 +209,8 @@ class Mark(NamedTuple):
 class Plot:
     """One pair of axes and what is drawn on it, in its numbers; ``svg`` returns the picture.
 
-    Attributes
-    ----------
-    name, x_label, y_label : what it shows.
-    x, y : limits.
-    log_y : whether y is logarithmic.
-    x_ticks, y_ticks : places and words; None for round numbers.
-    marks : what is drawn, the lowest first.
-
+    ``x`` and ``y`` are limits, ``x_ticks`` and ``y_ticks`` places and words, None for round
+    numbers; ``marks`` is what is drawn, the lowest first.
     """
 
     def __init__(
@@ -241,10 +227,6 @@ class Plot:
     def line(self, x: ArrayLike, y: ArrayLike, style: str) -> None:
         """Draw a line; NaN breaks it."""
         self._mark('line', x, y, style)
-
-    def area(self, x: ArrayLike, y: ArrayLike, style: str, title: str = '') -> None:
-        """Fill the inside of an outline; ``title`` is shown under the pointer."""
-        self._mark('area', x, y, style, title)
 
     def dots(
         self, x: ArrayLike, y: ArrayLike, style: str, radius: float = 2.6, title: str = '',
@@ -266,16 +248,15 @@ class Plot:
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, style: str) -> None:
         """Fill between two lines."""
-        xs, lows, highs = (np.asarray(v, dtype=np.float64) for v in (x, low, high))
-        every = slice(None, None, max(1, len(xs) // _BAND_COLUMNS))
-        xs, lows, highs = xs[every], lows[every], highs[every]
-        self.area(np.concatenate([xs, xs[::-1]]), np.concatenate([highs, lows[::-1]]), style)
+        sides = np.array([x, low, high], dtype=np.float64)
+        xs, lows, highs = sides[:, ::max(1, sides.shape[1] // _BAND_COLUMNS)]
+        self._mark('area', [*xs, *xs[::-1]], [*highs, *lows[::-1]], style)
 
     def rectangle(
         self, x: tuple[float, float], y: tuple[float, float], style: str, title: str = '',
     ) -> None:
-        """Fill a rectangle."""
-        self.area(np.array(x)[[0, 1, 1, 0]], np.array(y)[[0, 0, 1, 1]], style, title)
+        """Fill a rectangle; ``title`` is shown under the pointer."""
+        self._mark('area', [*x, *x[::-1]], np.repeat(y, 2), style, title)
 
     def error_bar(self, x: float, y: float, std: float, style: str, title: str = '') -> None:
         """Draw a point with two standard deviations on either side."""
@@ -302,13 +283,13 @@ class Plot:
         bottom, right = self._height - _BOTTOM, WIDTH - _RIGHT
         to_x = _axis(self.x, _LEFT, right, log=False)
         to_y = _axis(self.y, bottom, _TOP, log=self.log_y)
-        of_y = log_ticks(*self.y) if self.log_y else ticks(*self.y)
-        for value, words in _labelled(of_y) if self.y_ticks is None else self.y_ticks:
-            py = float(to_y(np.array(value)))
+        y_ticks = log_ticks(*self.y) if self.log_y else ticks(*self.y)
+        for value, words in _labelled(y_ticks) if self.y_ticks is None else self.y_ticks:
+            py = float(to_y(value))
             canvas.path(np.array([[_LEFT, py], [right, py]]), 'grid')
             canvas.text(_LEFT - 6, py + 4, words, 'end', '')
         for value, words in _labelled(ticks(*self.x)) if self.x_ticks is None else self.x_ticks:
-            canvas.text(float(to_x(np.array(value))), bottom + 15, words, 'middle', '')
+            canvas.text(float(to_x(value)), bottom + 15, words, 'middle', '')
         canvas.path(np.array([[_LEFT, bottom], [right, bottom]]), 'axis')
         # Beside its axis, in a corner where no curve ends.
         canvas.text(right, self._height - 3, self.x_label, 'end', 'unit')
@@ -367,11 +348,11 @@ def _tenths(value: int) -> str:
 
 def _axis(
     interval: tuple[float, float], start: float, end: float, *, log: bool,
-) -> Callable[[FloatArray], FloatArray]:
-    low, high = (np.log10(interval) if log else np.asarray(interval))
+) -> Callable[[ArrayLike], FloatArray]:
+    low, high = np.log10(interval) if log else interval
     scale = (end - start) / (high - low if high > low else 1.0)
 
-    def place(values: FloatArray) -> FloatArray:
+    def place(values: ArrayLike) -> FloatArray:
         if log:
             values = np.log10(np.maximum(values, 1e-12))
         placed: FloatArray = start + (np.clip(values, low, high) - low) * scale
@@ -386,9 +367,8 @@ def _envelope(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     keep: list[int] = []
     for first, last in itertools.pairwise(edges):
         part = y[first:last]
-        if len(part) == 0 or np.isnan(part).all():
-            keep.append(min(first, len(x) - 1))
-            continue
-        low, high = first + int(np.nanargmin(part)), first + int(np.nanargmax(part))
-        keep += sorted({low, high})
+        if np.isnan(part).all():
+            keep.append(first)
+        else:
+            keep += sorted({first + int(np.nanargmin(part)), first + int(np.nanargmax(part))})
     return x[keep], y[keep]
