@@ -28,7 +28,8 @@ from trajectory_calibration.outputs.report.text import (
 )
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
-from trajectory_calibration.outputs.rig_screen import sensor_rows
+from trajectory_calibration.outputs.rig_screen import clock_text, scale_text, sensor_rows
+from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.result import PairReport, RigResult
 from trajectory_calibration.rig.windows import common_grid, Grid, track_of
 
@@ -56,7 +57,8 @@ def render_rig(
     views = sensor_views([
         Mounted(name, rig.sensors[name].T_base_sensor, rig.sensors[name].covariance,
                 rig.sensors[name].status, _colour(rig, name)) for name in rig.trees[rig.base]])
-    parts = [
+    title = f'Rig of {counted(len(rig.sensors), "sensor")}: calibration report'
+    return page(title, ''.join((
         _box(rig),
         section(1, 'Where is each sensor?', _tree(rig) + views,
                 'Every pose is in the frame of the base.',
@@ -70,10 +72,7 @@ def render_rig(
                 'All tracks carried into the base, in its clock and unit, laid on each other.'),
         section(5, 'Record', record_cards(
             record or Record(), rig.config.calibration, finding_list(rig.findings),
-            rig.version)),
-    ]
-    title = f'Rig of {counted(len(rig.sensors), "sensor")}: calibration report'
-    return page(title, ''.join(parts), navigation=_NAVIGATION)
+            rig.version)))), navigation=_NAVIGATION)
 
 
 def _colour(rig: RigResult, name: str) -> str:
@@ -83,28 +82,24 @@ def _colour(rig: RigResult, name: str) -> str:
 
 
 def _box(rig: RigResult) -> str:
-    doubted = [item for item in rig.contradictions if item.kind != 'clock']
+    weak = any('weak' in sensor.status.values() for sensor in rig.sensors.values())
     style, badge = (
-        ('failed', 'A sensor contradicts the others') if doubted else
+        ('failed', 'A sensor contradicts the others') if any(
+            item.kind != 'clock' for item in rig.contradictions) else
         ('open', 'Part of it is unknown') if rig.unobserved else
-        ('care', 'Usable with care') if any(
-            'weak' in sensor.status.values() for sensor in rig.sensors.values()) or
-        rig.p_value < 1e-3 else ('good', 'Usable'))
+        ('care', 'Usable with care') if weak or rig.p_value < _WRONG else ('good', 'Usable'))
     loops = (f'The loops close with chi-squared {rig.chi_squared:.1f} of {rig.degrees} degrees '
              f'of freedom (p = {rig.p_value:.2g}).' if rig.degrees else
              'No loop checks the answer.')
     rows = []
     for sensor in rig.sensors.values():
-        if sensor.name == sensor.base:
-            continue
-        # One table of several trees says in which frame a pose is.
-        cells = [sensor.name, sensor.base][:len(rig.trees)]
-        for row in sensor_rows(rig, sensor):
-            mark = f' {row.word}' if row.word in ('weak', 'prior') else ''
-            cells.append(f'{row}{mark}'.replace('+-', '±'))
-        cells += [f'{1e3 * sensor.clock.offset_s:+.1f} ± {1e3 * sensor.clock.offset_std_s:.1f}',
-                  '1' if sensor.scale == 1 else f'{sensor.scale:.4f} ± {sensor.scale_std:.4f}']
-        rows.append(tuple(cells))
+        if sensor.name != sensor.base:
+            marked = (f'{row} {row.word}' if row.word in ('weak', 'prior') else str(row)
+                      for row in sensor_rows(rig, sensor))
+            # One table of several trees says in which frame a pose is.
+            cells = (*(sensor.name, sensor.base)[:len(rig.trees)], *marked,
+                     clock_text(sensor), scale_text(sensor))
+            rows.append(tuple(cell.replace('+-', '±') for cell in cells))
     head = (*('sensor', 'in')[:len(rig.trees)], 'x, m', 'y, m', 'z, m', 'roll, deg',
             'pitch, deg', 'yaw, deg', 'clock, ms', 'scale')
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
@@ -115,8 +110,7 @@ def _box(rig: RigResult) -> str:
 
 def _tree(rig: RigResult) -> str:
     """Draw which pairs hold the sensors together."""
-    names = list(dict.fromkeys([
-        *rig.sensors, *(end for pair in rig.pairs for end in (pair.parent, pair.child))]))
+    names = list(dict.fromkeys([*rig.sensors, *_ends(rig)]))
     angles = np.pi / 2 - 2 * np.pi * np.arange(len(names)) / len(names)
     radius = min(_WIDTH, _HEIGHT) / 2 - 44
     places = [_WIDTH / 2, _HEIGHT / 2] + radius * np.column_stack(
@@ -124,8 +118,9 @@ def _tree(rig: RigResult) -> str:
     at = dict(zip(names, places, strict=True))
     canvas = Canvas('pairs', _WIDTH, _HEIGHT)
     for pair in rig.pairs:
-        canvas.path(np.stack([at[pair.parent], at[pair.child]]), _pair_style(pair),
-                    title=f'{pair.parent} - {pair.child}: {pair.words}')
+        style = ('far dashed' if pair.failure or not pair.used else
+                 'far' if pair.p_value < _WRONG else 'near')
+        canvas.path(np.stack([at[pair.parent], at[pair.child]]), style, title=_titled(pair))
     for name, (x, y) in at.items():
         fill = _colour(rig, name) if name in rig.sensors else 'var(--unknown)'
         note = (' (base)' if name in rig.trees else
@@ -137,15 +132,18 @@ def _tree(rig: RigResult) -> str:
                   f'{used} of {counted(len(rig.pairs), "pair")} are used in the answer.')
 
 
-def _pair_style(pair: PairReport) -> str:
-    if pair.failure or not pair.used:
-        return 'far dashed'
-    return 'far' if pair.p_value < _WRONG else 'near'
+def _ends(rig: RigResult) -> list[str]:
+    """Return the sensors of the pairs."""
+    return list(dict.fromkeys(end for pair in rig.pairs for end in (pair.parent, pair.child)))
+
+
+def _titled(pair: PairReport) -> str:
+    return f'{pair.parent} - {pair.child}: {pair.words}'
 
 
 def _matrix(rig: RigResult) -> str:
     """Draw chi-squared of each pair as a square of a matrix."""
-    names = list(dict.fromkeys(end for pair in rig.pairs for end in (pair.parent, pair.child)))
+    names = _ends(rig)
     left, top, size = 84, 24, min(44, 250 // len(names))
     canvas = Canvas('chi-squared of pairs', _WIDTH, top + size * len(names) + 6)
     for k, name in enumerate(names):
@@ -163,7 +161,7 @@ def _matrix(rig: RigResult) -> str:
         for row, column in ((i, j), (j, i)):
             x, y = left + size * column, top + size * row
             canvas.box(x, y, size - 2, size - 2, css=f'fill:var(--{colour})',
-                       title=f'{pair.parent} - {pair.child}: {pair.words}')
+                       title=_titled(pair))
             canvas.text(x + size / 2 - 1, y + size / 2 + 4, words, 'middle')
     checked = [pair.chi_squared / pair.degrees for pair in rig.pairs if pair.degrees]
     reading = (f'Largest: {max(checked):.1f}; x: no answer.' if checked else
@@ -174,16 +172,17 @@ def _matrix(rig: RigResult) -> str:
 def _misfits(rig: RigResult) -> str:
     rows: list[tuple[str, ...]] = []
     for pair in rig.pairs:
+        name = f'{pair.parent} - {pair.child}'
         if pair.failure:
-            rows.append((f'{pair.parent} - {pair.child}', pair.failure[:80], '', '', ''))
+            rows.append((name, pair.failure[:80], '', '', ''))
             continue
         # Components that the pair leaves open agree with anything.
         known = pair.std < limits_of(rig.config.calibration)
-        t, R = (np.linalg.norm((pair.residual * known)[part]) for part in (slice(3), slice(3, 6)))
-        s, r = (np.linalg.norm((pair.std * known)[part]) for part in (slice(3), slice(3, 6)))
-        rows.append((f'{pair.parent} - {pair.child}',
-                     f'{1e3 * t:.1f} +- {1e3 * s:.1f} mm' if s else 'unknown',
-                     f'{np.rad2deg(R):.3f} +- {np.rad2deg(r):.3f} deg' if r else 'unknown',
+        off, std = (np.linalg.norm(np.reshape(values * known, (2, 3)), axis=1)
+                    for values in (pair.residual, pair.std))
+        rows.append((name, f'{1e3 * off[0]:.1f} +- {1e3 * std[0]:.1f} mm' if std[0] else 'unknown',
+                     f'{np.rad2deg(off[1]):.3f} +- {np.rad2deg(std[1]):.3f} deg'
+                     if std[1] else 'unknown',
                      f'{pair.poses:,}', 'yes' if pair.used else 'no'))
     head = ('pair', 'difference +- deviation', 'rotation', 'poses', 'used')
     return f'<div class="card two">{table(head, rows, "numbers")}</div>'
@@ -218,9 +217,13 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:
     names = [name for name in rig.trees[rig.base] if name in trajectories]
     if len(names) < 2:
         return '<p>The tracks were not given.</p>'
-    grid = common_grid([
-        track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
-                 rig.sensors[name].T_base_sensor) for name in names], _MAX_GAP_NS)
+    carried = []
+    for name in names:
+        sensor, trajectory = rig.sensors[name], trajectories[name]
+        carried.append(Track(
+            sensor.clock.apply(trajectory.stamps_ns),
+            trajectory.scaled(sensor.scale).poses @ se3.inverse(sensor.T_base_sensor)))
+    grid = common_grid(carried, _MAX_GAP_NS)
     laid = _laid(grid)
     return _from_above(rig, names, laid) + _apart(names, laid, grid)
 

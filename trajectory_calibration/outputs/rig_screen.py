@@ -61,6 +61,16 @@ def sensor_rows(rig: RigResult, sensor: SensorAnswer) -> tuple[Row, ...]:
                      rig.config.calibration)
 
 
+def clock_text(sensor: SensorAnswer) -> str:
+    """Return the clock offset and its deviation, ms."""
+    return f'{1e3 * sensor.clock.offset_s + 0.0:+.1f} +- {1e3 * sensor.clock.offset_std_s:.1f}'
+
+
+def scale_text(sensor: SensorAnswer) -> str:
+    """Return the scale and its deviation."""
+    return '1' if sensor.scale == 1.0 else f'{sensor.scale:.4f} +- {sensor.scale_std:.4f}'
+
+
 def _row(rig: RigResult, sensor: SensorAnswer, terminal: Terminal) -> str:
     cells = [terminal.paint(f'{row} {_MARKS[row.word]}'.rstrip().rjust(20), row.word)
              for row in sensor_rows(rig, sensor)]
@@ -69,27 +79,24 @@ def _row(rig: RigResult, sensor: SensorAnswer, terminal: Terminal) -> str:
 
 def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
     """Return clock, scale and noise of each sensor."""
-    lines = [terminal.paint(
-        f'  {"":<14}{"clock, ms":>16}{"scale":>18}{"white, mm":>12}{"deg":>8}'
-        f'{"drift, mm/sqrt m":>19}{"deg/sqrt m":>12}', 'soft')]
+    form = '  {:<14}{:>16}{:>18}{:>12}{:>8}{:>19}{:>12}'
+    lines = [terminal.paint(form.format(
+        '', 'clock, ms', 'scale', 'white, mm', 'deg', 'drift, mm/sqrt m', 'deg/sqrt m'), 'soft')]
     for sensor in rig.sensors.values():
-        offset, std = 1e3 * sensor.clock.offset_s, 1e3 * sensor.clock.offset_std_s
-        clock = '-' if sensor.name == sensor.base else f'{offset + 0.0:+.1f} +- {std:.1f}'
-        scale = ('1' if sensor.scale == 1.0 else
-                 f'{sensor.scale:.4f} +- {sensor.scale_std:.4f}')
-        noise = [''] * 4 if sensor.noise is None else [
-            f'{1e3 * sensor.noise.white_m:.2g}', f'{np.rad2deg(sensor.noise.white_rad):.2g}',
-            f'{1e3 * sensor.noise.drift_m:.2g}', f'{np.rad2deg(sensor.noise.drift_rad):.2g}']
-        lines.append(f'  {sensor.name:<14}{clock:>16}{scale:>18}{noise[0]:>12}{noise[1]:>8}'
-                     f'{noise[2]:>19}{noise[3]:>12}'.rstrip())
+        noise = sensor.noise
+        of_noise = [''] * 4 if noise is None else [f'{value:.2g}' for value in (
+            1e3 * noise.white_m, np.rad2deg(noise.white_rad),
+            1e3 * noise.drift_m, np.rad2deg(noise.drift_rad))]
+        clock = '-' if sensor.name == sensor.base else clock_text(sensor)
+        lines.append(form.format(
+            sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
     return lines
 
 
 def _errors(rig: RigResult, truth: Mapping[str, FloatArray]) -> list[str]:
-    answers = ((name, rig.sensors[name]) for name in rig.free if name in truth)
-    return [f'  error of {name} against the ground truth: '
-            + error_words(sensor.T_base_sensor, truth[name], sensor.status)
-            for name, sensor in answers]
+    return [f'  error of {name} against the ground truth: ' + error_words(
+        rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
+        for name in rig.free if name in truth]
 
 
 def _pairs(rig: RigResult) -> list[str]:

@@ -54,44 +54,36 @@ def compare_clocks(a: Trajectory, b: Trajectory) -> Clocks:
     usual_s = float(max(a.usual_step_ns, b.usual_step_ns)) * 1e-9
     window_s = max(_WINDOW_S, 2 * usual_s)
     seconds = _busiest(a, b, start)
-    offsets, correlation = _correlate(a, b, usual_s)
     return Clocks(
-        seconds,
-        _rate(a, seconds, start, window_s), _rate(b, seconds, start, window_s),
-        offsets, correlation,
-        _spans(a, start), _spans(b, start), (end - start) * 1e-9)
+        seconds, _rate(a, seconds, start, window_s), _rate(b, seconds, start, window_s),
+        *_correlate(a, b, usual_s), _spans(a, start), _spans(b, start), (end - start) * 1e-9)
 
 
 def _seconds(trajectory: Trajectory, start: int) -> FloatArray:
     return (trajectory.stamps_ns - start).astype(np.float64) * 1e-9
 
 
+def _gaps(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Return (N - 1,), the steps in which a sensor has no poses."""
+    return np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory)
+
+
 def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
-    """Return times of the part of the common time in which a turned most."""
-    times = _seconds(a, start)
-    low = max(times[0], _seconds(b, start)[0])
-    high = min(times[-1], _seconds(b, start)[-1])
+    """Return times of the part of the common time in which both turned most."""
+    times_a, times_b = _seconds(a, start), _seconds(b, start)
+    low, high = max(times_a[0], times_b[0]), min(times_a[-1], times_b[-1])
     if high <= low:
-        low, high = times[0], times[-1]
+        low, high = times_a[0], times_a[-1]
     length = min(_PART_S, high - low)
     begins = np.linspace(low, high - length, 200)
-    # Where both have poses: a rotation in a gap of one cannot be compared.
-    turned = np.minimum(*(_turned(trajectory, start, begins, length) for trajectory in (a, b)))
-    begin = float(begins[int(np.argmax(turned))])
+    turned = []
+    for trajectory, times in ((a, times_a), (b, times_b)):
+        # A rotation in a gap of one cannot be compared.
+        angle = np.where(_gaps(trajectory), 0.0, np.linalg.norm(trajectory.turns, axis=1))
+        total = np.concatenate([[0.0], np.cumsum(angle)])
+        turned.append(np.interp(begins + length, times, total) - np.interp(begins, times, total))
+    begin = float(begins[np.argmax(np.minimum(*turned))])
     return np.linspace(begin, begin + length, _POINTS)
-
-
-def _turned(
-    trajectory: Trajectory, start: int, begins: FloatArray, length: float,
-) -> FloatArray:
-    """Return the rotation in parts of the time, without what lies in gaps."""
-    angle = np.linalg.norm(trajectory.turns, axis=1)
-    angle[np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory)] = 0.0
-    total = np.concatenate([[0.0], np.cumsum(angle)])
-    times = _seconds(trajectory, start)
-    turned: FloatArray = (
-        np.interp(begins + length, times, total) - np.interp(begins, times, total))
-    return turned
 
 
 def _rate(
@@ -101,12 +93,11 @@ def _rate(
     times = _seconds(trajectory, start)
     first = np.clip(np.searchsorted(times, seconds - window_s / 2), 0, len(times) - 2)
     last = np.clip(np.searchsorted(times, seconds + window_s / 2), first + 1, len(times) - 1)
-    R = trajectory.rotations
+    R, took = trajectory.rotations, times[last] - times[first]
     angle = se3.rotation_angle(np.swapaxes(R[first], 1, 2) @ R[last])
-    rate = np.rad2deg(angle) / (times[last] - times[first])
-    inside = (seconds >= times[0]) & (seconds <= times[-1])
-    known = inside & (times[last] - times[first] < longest_step_ns(trajectory) * 1e-9 + window_s)
-    return np.where(known, rate, np.nan)
+    known = (seconds >= times[0]) & (seconds <= times[-1]) & (
+        took < longest_step_ns(trajectory) * 1e-9 + window_s)
+    return np.where(known, np.rad2deg(angle) / took, np.nan)
 
 
 def _correlate(
@@ -121,10 +112,9 @@ def _correlate(
     cell = max(usual_s / 2, reach / _LAGS, duration / _CELLS)
     edges = np.arange(0.0, duration, cell)
     turn_a, turn_b = (_in_cells(trajectory, edges, start) for trajectory in (a, b))
-    lags: int = min(_LAGS, int(reach / cell))
-    shifts = np.arange(-lags, lags + 1)
-    covariance = np.empty((len(shifts), 3, 3))
-    energy = np.empty(len(shifts))
+    lags = min(_LAGS, int(reach / cell))
+    covariance = np.empty((2 * lags + 1, 3, 3))
+    energy = np.empty(2 * lags + 1)
     for k, shift in enumerate(range(-lags, lags + 1)):
         # The clock of b later by so many cells: its turns belong to later ones of a.
         part_a = turn_a[max(0, shift):len(turn_a) + min(0, shift)]
@@ -134,7 +124,7 @@ def _correlate(
     singular = np.linalg.svd(covariance, compute_uv=False)
     gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(covariance) < 0)
     correlation: FloatArray = gain / np.maximum(energy, 1e-300)
-    return shifts.astype(np.float64) * cell, correlation
+    return np.arange(-lags, lags + 1, dtype=np.float64) * cell, correlation
 
 
 def _in_cells(trajectory: Trajectory, edges: FloatArray, start: int) -> FloatArray:
@@ -147,9 +137,5 @@ def _in_cells(trajectory: Trajectory, edges: FloatArray, start: int) -> FloatArr
 
 def _spans(trajectory: Trajectory, start: int) -> FloatArray:
     """Return (S, 2) seconds without a gap."""
-    times = _seconds(trajectory, start)
-    gaps: NDArray[np.intp] = np.flatnonzero(
-        np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory))
-    first = np.concatenate([[0], gaps + 1])
-    last = np.concatenate([gaps, [len(times) - 1]])
-    return np.column_stack([times[first], times[last]])
+    times, gaps = _seconds(trajectory, start), _gaps(trajectory)
+    return np.column_stack([times[np.append(True, gaps)], times[np.append(gaps, True)]])

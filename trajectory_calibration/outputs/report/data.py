@@ -22,7 +22,7 @@ from trajectory_calibration.outputs.report.parts import (
     lag_of,
     lagged,
     Parts,
-    TIME_SCALES_S,
+    time_scales,
 )
 from trajectory_calibration.outputs.report.text import metres
 from trajectory_calibration.outputs.report.tracks import compare_tracks, corrected_b, Tracks
@@ -176,25 +176,21 @@ def _residuals(tracks: Tracks, result: CalibrationResult) -> Residuals:
     i, j = i[every], j[every]
     values, sigma = _of_motions(tracks, result.T_a_b, i, j)
     bad = np.concatenate([[0], np.cumsum(~tracks.usable)])
-    scales: list[float] = []
-    quantiles: list[FloatArray] = []
-    expected: list[list[float]] = []
-    for seconds in TIME_SCALES_S:
-        lag = lag_of(tracks, seconds)
-        if lag >= len(tracks) or lag in [lag_of(tracks, other) for other in scales]:
+    scales, quantiles, expected = [], [], []
+    for seconds, lag in time_scales(tracks):
+        if lag >= len(tracks):
             continue
         first, last = lagged(tracks, lag, _OF_A_SCALE)
         stride = int(np.median(np.diff(first))) if len(first) > 1 else 1
         # Motions that overlap count once.
         if len(first) * min(1.0, stride / lag) < _LEAST_OF_A_SCALE:
             continue
-        error, likely = _of_motions(tracks, result.T_a_b, first, last)
-        size = np.stack([np.linalg.norm(error[:, part], axis=1)
-                         for part in (slice(0, 3), slice(3, 6))])
+        # Translation and rotation apart.
+        error, likely = (values.reshape(-1, 2, 3) for values in _of_motions(
+            tracks, result.T_a_b, first, last))
         scales.append(seconds)
-        quantiles.append(np.quantile(size, _QUANTILES, axis=1).T)
-        expected.append([float(np.sqrt(np.mean(np.sum(likely[:, part]**2, axis=1))))
-                         for part in (slice(0, 3), slice(3, 6))])
+        quantiles.append(np.quantile(np.linalg.norm(error, axis=2), _QUANTILES, axis=0).T)
+        expected.append(np.sqrt(np.mean(np.sum(likely**2, axis=2), axis=0)))
     return Residuals(
         tracks.seconds[j], values, sigma, bad[i] != bad[j],
         np.array(scales), np.array(quantiles).reshape(-1, 2, 5),
@@ -220,20 +216,19 @@ def _path_scale(tracks: Tracks) -> PathScale:
     if len(i) < 5 * _SCALE_PARTS:
         return empty
     of_a, of_c = (motions[:, :3, 3] for motions in tracks.motions(i, j)[:2])
-    edges = np.linspace(0, tracks.seconds[-1], _SCALE_PARTS + 1)
+    overlap = max(1.0, float(np.mean(j - i)) / max(1, int(np.median(np.diff(i)))))
     found = []
-    for low, high in itertools.pairwise(edges):
+    for low, high in itertools.pairwise(np.linspace(0, tracks.seconds[-1], _SCALE_PARTS + 1)):
         part = (tracks.seconds[i] >= low) & (tracks.seconds[i] <= high)
         square = float(np.sum(of_c[part] ** 2))
         if part.sum() < 5 or square <= 1e-9:
             continue
         ratio = float(np.sum(of_a[part] * of_c[part])) / square
         left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
-        overlap = max(1.0, float(np.mean(j - i)) / max(1, int(np.median(np.diff(i)))))
         found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
     if not found:
         return empty
-    seconds_, ratio, std = np.array(found).T
+    found_s, ratio, std = np.array(found).T
     # Where a sensor hardly moves, its scale means nothing.
     known = std <= max(_VAGUE * float(np.median(std)), 1e-4)
-    return PathScale(seconds_[known], ratio[known], std[known]) if known.sum() > 1 else empty
+    return PathScale(found_s[known], ratio[known], std[known]) if known.sum() > 1 else empty

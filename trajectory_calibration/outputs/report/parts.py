@@ -11,7 +11,7 @@ overlap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 
 import numpy as np
@@ -79,20 +79,17 @@ class _Scores:
     overlap: int
 
     def picked(self, mask: NDArray[np.bool_]) -> _Scores:
-        return _Scores(
-            self.start[mask], self.score[mask], self.information[mask], self.overlap)
+        return replace(self, start=self.start[mask], score=self.score[mask],
+                       information=self.information[mask])
 
 
 def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
     """Return what quarters and time scales of the tracks say of the extrinsic."""
     held = _held(result.observability)
     by_scale: list[tuple[float, _Scores]] = []
-    seen: set[int] = set()
-    for seconds in TIME_SCALES_S:
-        lag = lag_of(tracks, seconds)
-        if lag in seen or len(tracks) < _LEAST_REPEATS * lag:
+    for seconds, lag in time_scales(tracks):
+        if len(tracks) < _LEAST_REPEATS * lag:
             continue
-        seen.add(lag)
         scores = _scores(tracks, result.T_a_b, lag)
         if len(scores.start) >= _LEAST_MOTIONS:
             by_scale.append((seconds, scores))
@@ -114,8 +111,15 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
 
 def lag_of(tracks: Tracks, seconds: float) -> int:
     """Return how many pairs are about so many seconds, at least one."""
-    usual = float(np.median(np.diff(tracks.seconds)))
-    return max(1, round(seconds / usual))
+    return max(1, round(seconds / float(np.median(np.diff(tracks.seconds)))))
+
+
+def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
+    """Return the time scales, seconds, with their lags, which differ."""
+    by_lag: dict[int, float] = {}
+    for seconds in TIME_SCALES_S:
+        by_lag.setdefault(lag_of(tracks, seconds), seconds)
+    return [(seconds, lag) for lag, seconds in by_lag.items()]
 
 
 def lagged(
@@ -125,33 +129,26 @@ def lagged(
 
     They last about as long as ``lag`` usual steps.
     """
-    bad = np.zeros(len(tracks), dtype=np.intp)
     broken = ~tracks.usable
     broken[tracks.gaps] = True
-    bad[1:] = np.cumsum(broken)
-    i = np.arange(len(tracks) - lag)
+    bad = np.concatenate([[0], np.cumsum(broken)])
     took = tracks.seconds[lag:] - tracks.seconds[:-lag]
     usual = lag * float(np.median(np.diff(tracks.seconds)))
-    i = i[(bad[i] == bad[i + lag]) & (took <= _LONGEST * usual)]
+    i = np.flatnonzero((bad[:-lag] == bad[lag:]) & (took <= _LONGEST * usual))
     i = i[::max(1, -(-len(i) // count))]
     return i, i + lag
 
 
 def _jacobian(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> FloatArray:
     """Return (M, 6, 6), the derivative of ``log(A^-1 C)`` by (dt, dtheta), motion seen as C."""
-    t = T_a_b[:3, 3]
-    R_C = C[:, :3, :3]
+    t, R_C, R_t = T_a_b[:3, 3], C[:, :3, :3], np.swapaxes(A[:, :3, :3], 1, 2)
     open_ = np.eye(3) - R_C
     turned = R_C @ t
     # R t_B, the motion of b in the axes of a, from that of a.
     moved_b = C[:, :3, 3] - t + turned
     J = np.zeros((len(C), 6, 6))
-    J[:, :3, :3] = open_
-    J[:, :3, 3:] = -se3.skew(moved_b) + se3.skew(turned) @ open_
-    J[:, 3:, 3:] = open_
-    R_t = np.swapaxes(A[:, :3, :3], 1, 2)
-    J[:, :3] = R_t @ J[:, :3]
-    J[:, 3:] = R_t @ J[:, 3:]
+    J[:, :3, :3] = J[:, 3:, 3:] = R_t @ open_
+    J[:, :3, 3:] = R_t @ (se3.skew(turned) @ open_ - se3.skew(moved_b))
     return J
 
 
@@ -171,8 +168,7 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
     information = np.swapaxes(of_c, 1, 2) @ weighted[:, :, :6]
     information = 0.5 * (information + np.swapaxes(information, 1, 2))
     stride = int(i[1] - i[0]) if len(i) > 1 else 1
-    found = _Scores(i, score, information, max(1, lag // max(1, stride)))
-    return found.picked(keep)
+    return _Scores(i, score, information, max(1, lag // stride)).picked(keep)
 
 
 def _solve(scores: _Scores, held: FloatArray) -> tuple[FloatArray, FloatArray]:
