@@ -14,11 +14,15 @@ from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.outputs.answer import angle_jacobian, answer_rows, status_sentence
+from trajectory_calibration.outputs.answer import (
+    angle_jacobian,
+    answer_rows,
+    judge,
+    status_sentence,
+)
 from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.outputs.verdict import judge
 
 
 def make(std=(0.01, 0.02, 0.03, 0.1, 0.2, 0.3), R=None, status=None, findings=(), **config):

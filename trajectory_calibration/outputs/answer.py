@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The six numbers of a pose with their deviations and marks: one table for every surface.
+"""The six numbers of a pose with their deviations, marks and verdict: one table for all.
 
 Screens, reports, tables and the notebook, of a pair, a rig or many recordings, show these rows, so
 that they cannot differ.
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,12 @@ _WORST_FIRST = tuple(WORDS)
 TO_DEGREES = np.repeat([1.0, 180 / np.pi], 3)
 
 NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
+
+GOOD, CARE, OPEN, FAILED = 'good', 'care', 'open', 'failed'
+TITLES = {GOOD: 'Usable', CARE: 'Usable with care', OPEN: 'Incomplete', FAILED: 'No answer'}
+
+# Level of findings that may make an answer wrong.
+SERIOUS = 'serious'
 
 # A pitch this near to 90 degrees (cosine): roll and yaw turn about the same axis.
 _GIMBAL_LOCK = 1e-3
@@ -164,11 +171,6 @@ def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) ->
     return f'{words} (without {left_out})' if left_out else words
 
 
-def worst_status(rows: tuple[Row, ...]) -> str:
-    """Return the status of the row that is known least."""
-    return min((row.status for row in rows), key=_WORST_FIRST.index)
-
-
 def status_sentence(rows: tuple[Row, ...]) -> str:
     """Return which numbers are good and which are not: 'rotation ok; x, y weak; z unknown'."""
     found = []
@@ -179,6 +181,46 @@ def status_sentence(rows: tuple[Row, ...]) -> str:
             names = names.replace(', '.join(group), name)
         found += [f'{names} {word}'] if names else []
     return '; '.join(found)
+
+
+class Verdict(NamedTuple):
+    """The judgement of a result.
+
+    ``level`` is 'good', 'care', 'open' (a direction is unknown) or 'failed'; ``sentence`` says
+    what is good and what is not, ``next_step`` what to do now.
+    """
+
+    level: str
+    sentence: str
+    next_step: str
+
+
+def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Verdict:
+    """Return the verdict on a result."""
+    rows = rows or answer_rows(result)
+    worst = min((row.status for row in rows), key=_WORST_FIRST.index)
+    sentence = status_sentence(rows)
+    # The name of an axis has no capital.
+    if sentence[1] not in ', ':
+        sentence = sentence[0].upper() + sentence[1:]
+    # Those of directions have a mark of their own.
+    serious = [found.text for found in result.findings
+               if found.level == SERIOUS and not found.code.startswith('direction-')]
+    if worst == UNOBSERVED:
+        return Verdict(OPEN, sentence, _advice(result, 'direction-unobserved'))
+    if serious:
+        return Verdict(CARE, f'{sentence}, but check the data first', serious[0])
+    if worst == WEAK:
+        return Verdict(CARE, sentence, _advice(result, 'direction-weak'))
+    return Verdict(
+        GOOD, sentence, 'Copy the transform below. Check it on another drive: '
+        'trajectory_calibration verify result.yaml A B')
+
+
+def _advice(result: CalibrationResult, code: str) -> str:
+    """Return what the findings say of the directions of this kind, and what to do."""
+    texts = [found.text for found in result.findings if found.code == code]
+    return '; '.join(texts) or 'drive curves, and a ramp or a bank'
 
 
 def fixed(value: float, digits: int) -> str:

@@ -17,7 +17,6 @@ from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
 from trajectory_calibration.outputs.report.page import page
 from trajectory_calibration.outputs.report.record import Record, record_cards
-from trajectory_calibration.outputs.report.render import finding_list
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.text import (
     figure,
@@ -71,8 +70,7 @@ def render_rig(
         section(4, 'Do the tracks coincide?', _tracks(rig, trajectories or {}),
                 'All tracks carried into the base, in its clock and unit, laid on each other.'),
         section(5, 'Record', record_cards(
-            record or Record(), rig.config.calibration, finding_list(rig.findings),
-            rig.version)))), navigation=_NAVIGATION)
+            record, rig.config.calibration, rig.findings, rig.version)))), navigation=_NAVIGATION)
 
 
 def _colour(rig: RigResult, name: str) -> str:

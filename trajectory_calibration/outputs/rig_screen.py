@@ -45,13 +45,18 @@ def format_rig(
     lines.append('')
     lines += _second_table(rig, terminal)
     if truth:
-        lines += ['', *_errors(rig, truth)]
+        lines += ['', *(f'  error of {name} against the ground truth: ' + error_words(
+            rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
+            for name in rig.free if name in truth)]
     if rig.degrees:
         lines.append(f'\nloops close with chi-squared {rig.chi_squared:.1f} of {rig.degrees} '
                      f'degrees of freedom (p = {rig.p_value:.2g})')
     lines += finding_lines(rig.findings, terminal, None if verbose else _MOST_FINDINGS)
     if verbose:
-        lines += ['', *_pairs(rig)]
+        lines += ['', '  pairs: chi-squared and degrees of freedom against the rig']
+        for pair in rig.pairs:
+            unused = '' if pair.used or pair.failure else ' (not used)'
+            lines.append(f'    {pair.parent} - {pair.child}: {pair.words}{unused}')
     return '\n'.join(lines) + '\n'
 
 
@@ -90,18 +95,4 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
         clock = '-' if sensor.name == sensor.base else clock_text(sensor)
         lines.append(form.format(
             sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
-    return lines
-
-
-def _errors(rig: RigResult, truth: Mapping[str, FloatArray]) -> list[str]:
-    return [f'  error of {name} against the ground truth: ' + error_words(
-        rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
-        for name in rig.free if name in truth]
-
-
-def _pairs(rig: RigResult) -> list[str]:
-    lines = ['  pairs: chi-squared and degrees of freedom against the rig']
-    for pair in rig.pairs:
-        unused = '' if pair.used or pair.failure else ' (not used)'
-        lines.append(f'    {pair.parent} - {pair.child}: {pair.words}{unused}')
     return lines

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One self-contained HTML page that shows what a calibration rests on."""
 
-from trajectory_calibration.outputs.report.record import hash_inputs, Input, Record
+from trajectory_calibration.outputs.report.record import hash_inputs, Record
 from trajectory_calibration.outputs.report.render import (
     render_box,
     render_failure,
@@ -10,7 +10,6 @@ from trajectory_calibration.outputs.report.render import (
 )
 
 __all__ = [
-    'Input',
     'Record',
     'hash_inputs',
     'render_box',

@@ -103,7 +103,6 @@ class ReportData:
 
     result: CalibrationResult
     rows: tuple[Row, ...]
-    T_a_b_true: FloatArray | None
     tracks: Tracks
     parts: Parts
     residuals: Residuals
@@ -163,7 +162,7 @@ def report_data(
     b = corrected_b(result, b)
     tracks = compare_tracks(result, a, b)
     return ReportData(
-        result, answer_rows(result, T_a_b_true), T_a_b_true, tracks,
+        result, answer_rows(result, T_a_b_true), tracks,
         compare_parts(tracks, result),
         _residuals(tracks, result),
         compare_clocks(a, b),

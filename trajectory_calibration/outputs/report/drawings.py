@@ -15,8 +15,6 @@ from trajectory_calibration.outputs.report.figures import label, limits, Plot, W
 AXES = DEGREES_OF_FREEDOM
 # A share of the range that the largest values may be cut off at.
 _MOST = 0.995
-# Jumps that are marked, the largest.
-_MOST_JUMPS = 80
 
 
 def unit_of(k: int) -> str:
@@ -35,7 +33,7 @@ def angle_over_time(data: ReportData) -> Plot:
 
 
 def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> Plot:
-    seconds, jumps = data.tracks.seconds, data.tracks.largest_jumps(_MOST_JUMPS)
+    seconds, jumps = data.tracks.seconds, data.tracks.largest_jumps()
     high = max(float(apart.max()), 1e-6) * 1.08
     plot = Plot((0.0, float(seconds[-1])), (0.0, high), name=name, x_label='time, s', y_label=unit)
     plot.line(seconds, apart, 'line-a')

@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from html import escape
 
 import numpy as np
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows
+from trajectory_calibration.outputs.answer import answer_rows, FAILED, TITLES
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
@@ -31,7 +29,6 @@ from trajectory_calibration.outputs.report.text import (
     verdict_section,
 )
 from trajectory_calibration.outputs.report.view3d import single_track
-from trajectory_calibration.outputs.verdict import FAILED, TITLES
 from trajectory_calibration.result import CalibrationResult
 
 
@@ -41,11 +38,7 @@ def render_report(
 ) -> str:
     """Return the report of a result with the trajectories that it was made from.
 
-    Raises
-    ------
-    AssociationError
-        The trajectories have no common time under the clock of the result.
-
+    Raises AssociationError where these have no common time under the clock of the result.
     """
     return render(report_data(result, a, b, T_a_b_true), record)
 
@@ -55,7 +48,7 @@ def render(data: ReportData, record: Record | None = None) -> str:
     result = data.result
     box = verdict_box(result, data.rows, data.driven)
     last = section(6, 'Record', record_cards(
-        record or Record(), result.config, finding_list(result.findings), result.version))
+        record, result.config, result.findings, result.version))
     return page(
         f'{result.frame_a} → {result.frame_b}: calibration report', box + sections(data) + last,
         navigation=NAVIGATION)
@@ -80,38 +73,23 @@ def render_failure(
 
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
-    reason, advice = _reason_and_advice(error)
+    # What happened, and what to do, where the message says it.
+    reason, mark, advice = error.partition('. ')
+    if not mark:
+        reason, mark, advice = error.rpartition('; ')
+    if not mark:
+        reason, advice = error, ''
     box = verdict_section(
         FAILED, 'Calibration failed', TITLES[FAILED],
         f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}')
-    figures = ''.join(_input_figure(name, trajectory)
-                      for name, trajectory in zip('ab', trajectories, strict=False))
+    figures = ''.join(map(_input_figure, 'ab', trajectories))
     if len(trajectories) == 2:
         figures += _together(*trajectories)
     body = section(
         1, 'What was found of the inputs', figures, columns=2) if figures else ''
-    findings = finding_list(
-        found for trajectory in trajectories for found in trajectory.findings)
-    last = section(2, 'Record', record_cards(
-        record or Record(), config or CalibrationConfig(), findings))
+    last = section(2, 'Record', record_cards(record, config or CalibrationConfig(), [
+        found for trajectory in trajectories for found in trajectory.findings]))
     return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'))
-
-
-def _reason_and_advice(error: str) -> tuple[str, str]:
-    """Split a message into what happened and what to do, '' where it does not say."""
-    reason, _, advice = error.partition('. ')
-    if advice:
-        return reason, advice
-    reason, _, advice = error.rpartition('; ')
-    return (reason, advice) if reason else (error, '')
-
-
-def finding_list(findings: Iterable[Finding]) -> str:
-    """Return the findings with their levels and codes, worst first."""
-    rows = ''.join(
-        f'<li><span class="level {found.level}">{found.level}</span><code>{found.code}</code>'
-        f'<span>{escape(found.text)}</span></li>' for found in worst_first(findings))
-    return f'<ul class="findings">{rows}</ul>' if rows else '<p>None.</p>'
 
 
 def _input_figure(name: str, trajectory: Trajectory) -> str:

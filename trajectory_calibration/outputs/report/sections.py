@@ -12,7 +12,8 @@ from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.text import figure, legend, metres, section
-from trajectory_calibration.outputs.report.view3d import MOST_JUMPS, track_view
+from trajectory_calibration.outputs.report.tracks import MOST_JUMPS
+from trajectory_calibration.outputs.report.view3d import track_view
 from trajectory_calibration.outputs.screen import reference_words
 
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')

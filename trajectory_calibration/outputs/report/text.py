@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from configparser import RawConfigParser
 from functools import cache
 from html import escape
@@ -80,7 +81,7 @@ def section(
             f'<div class="grid of{columns}">{inside}</div></section>')
 
 
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]], style: str = '') -> str:
+def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]], style: str = '') -> str:
     """Return a table of escaped cells."""
     top = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     body = ''.join(

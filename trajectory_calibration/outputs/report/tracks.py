@@ -23,6 +23,8 @@ from trajectory_calibration.time_alignment.rotation_increments import longest_st
 
 # A step in which the tracks part by this many usual ones is a jump, also where no solver says so.
 _JUMP = 12.0
+# Jumps that are drawn, the largest.
+MOST_JUMPS = 80
 # Poses farther apart than this many usual steps tell no velocity.
 _NEAR = 3.0
 
@@ -59,12 +61,12 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.seconds)
 
-    def largest_jumps(self, count: int) -> NDArray[np.intp]:
-        """Return the indices of at most so many jumps, those in which the tracks part most."""
+    def largest_jumps(self) -> NDArray[np.intp]:
+        """Return the indices of ``MOST_JUMPS``, those in which the tracks part most."""
         apart = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(
             self.poses_c[:, :3, 3], axis=0)
         size = np.linalg.norm(apart[self.jumps - 1], axis=1)
-        return np.sort(self.jumps[np.argsort(-size, kind='stable')[:count]])
+        return np.sort(self.jumps[np.argsort(-size, kind='stable')[:MOST_JUMPS]])
 
     def motions(
         self, i: NDArray[np.intp], j: NDArray[np.intp],

@@ -18,8 +18,6 @@ _POSES, _GRID = 900, 4000
 # Of a drawing as wide as the page.
 WIDE, HIGH = 720, 430
 _MOST_GAPS = 300
-# Jumps that are drawn, the largest.
-MOST_JUMPS = 80
 
 
 def track_view(tracks: Tracks) -> str:
@@ -30,7 +28,7 @@ def track_view(tracks: Tracks) -> str:
     both = np.concatenate([a[keep], c[keep]])
     low, high = both.min(axis=0), both.max(axis=0)
     middle, size = 0.5 * (low + high), max(float((high - low).max()), 1e-6)
-    jumps = tracks.largest_jumps(MOST_JUMPS)
+    jumps = tracks.largest_jumps()
     gaps = np.searchsorted(keep, tracks.gaps)
     numbers = {
         'size': size,
@@ -57,7 +55,7 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
 
 def _kept(tracks: Tracks) -> FloatArray:
     """Return the indices of poses that are drawn, with both ends of each jump and gap."""
-    ends = np.concatenate([tracks.largest_jumps(MOST_JUMPS), tracks.gaps[:_MOST_GAPS]])
+    ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
     ends = np.concatenate([ends, ends - 1, ends + 1])
     ends = ends[(ends >= 0) & (ends < len(tracks))]
     return np.unique(np.concatenate([evenly(len(tracks), _POSES), ends]))
@@ -84,7 +82,7 @@ def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> Scene:
         if len(gaps):
             over = np.stack([points[gaps], points[gaps + 1], broken], axis=1)
             scene.line(over.reshape(-1, 2), f'{style} dashed')
-    for point in c[tracks.largest_jumps(MOST_JUMPS)]:
+    for point in c[tracks.largest_jumps()]:
         scene.dot(point, 3.4, 'jump')
     scene.dot(a[0], 5, 'start')
     x, y = scene.place(a[0])
