@@ -4,11 +4,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 import csv
 import io
 import json
+from typing import Any
 
-from trajectory_calibration.fleet.comparison import COLUMNS, Comparison, Entry, row
+from trajectory_calibration.fleet.comparison import Comparison, Entry, row
 from trajectory_calibration.outputs.answer import answer_rows, NAMES
 
 _UNITS = {'z': ' [m]', 'yaw': ' [deg]'}
@@ -32,12 +34,17 @@ def to_text(comparison: Comparison) -> str:
 
 def to_csv(comparison: Comparison) -> str:
     """Return one row for each answer, the units in the names of the columns."""
+    return csv_text([
+        {name: f'{value:.9g}' if isinstance(value, float) else value
+         for name, value in row(entry).items()} for entry in comparison.entries])
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows of equal names as CSV."""
     text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator='\n')
     writer.writeheader()
-    for entry in comparison.entries:
-        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
-                         for name, value in row(entry).items()})
+    writer.writerows(rows)
     return text.getvalue()
 
 

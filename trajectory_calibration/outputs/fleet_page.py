@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.fleet.comparison import Comparison, Entry
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import NAMES
+from trajectory_calibration.outputs.answer import NAMES, TO_DEGREES
 from trajectory_calibration.outputs.comparison_table import cells_of
 from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
@@ -36,71 +37,63 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
         style, f'{escape(frame_b)} in {escape(frame_a)}: {counted(len(results), "recording")}',
         badge, verdict)
     charts = section(
-        1, 'Control charts', ''.join(_charts(comparison, results)),
+        1, 'Control charts', _charts(comparison, results),
         'Dot: one recording, pale where it is weak; bar: two standard deviations up and down. '
         'Line and band: mean of the recordings that agree, with its own two standard deviations; '
         f'dashed: a change. Axes of {frame_a}; rotations from the first mean.')
+    head = ('', 'date', *(f'{name}, {unit_of(k)}' for k, name in enumerate(NAMES)),
+            'residual, m', 'findings')
+    rows = table(head, map(_row, comparison.entries), 'numbers')
     recordings = section(
-        2, 'Recordings', f'<div class="card">{_table(comparison)}</div>',
-        f'Chi-squared about one mean of all: {comparison.chi_squared:,.1f} of '
-        f'{comparison.degrees_of_freedom} degrees of freedom. docs/findings.md explains the '
-        'findings.')
+        2, 'Recordings', f'<div class="card">{rows}</div>',
+        f'Chi-squared of all about one mean: {comparison.chi_squared:.1f} at '
+        f'{comparison.degrees_of_freedom} degrees of freedom. What the words of the findings '
+        'mean: docs/findings.md.')
     return page(title, box + charts + recordings, scripts=())
 
 
-def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> list[str]:
-    base = comparison.stretches[0].T_a_b if comparison.stretches else results[0].T_a_b
+def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str:
+    stretches = comparison.stretches
+    base = stretches[0].T_a_b if stretches else results[0].T_a_b
     origin = np.concatenate([base[:3, 3], np.zeros(3)])
-    to_unit = np.repeat([1.0, 180 / np.pi], 3)
-    values = to_unit * [origin + se3.step_between(base, item.T_a_b) for item in results]
-    std = to_unit * [np.zeros(6) if item.std is None else item.std for item in results]
-    means = [(to_unit * (origin + se3.step_between(base, item.T_a_b)),
-              to_unit * np.sqrt(np.diagonal(item.covariance))) for item in comparison.stretches]
-    edges = np.cumsum([0, *(len(item.names) for item in comparison.stretches)]).tolist()
+    values, means = (
+        np.array([TO_DEGREES * (origin + se3.step_between(base, item.T_a_b)) for item in items])
+        for items in (results, stretches))
+    std = TO_DEGREES * [np.zeros(6) if item.std is None else item.std for item in results]
+    mean_std = [TO_DEGREES * np.sqrt(np.diagonal(item.covariance)) for item in stretches]
     places = _places(results)
+    # Where one stretch ends and the next begins.
+    edges = np.concatenate([[-0.05], 0.5 * (places[1:] + places[:-1]), [1.05]])[
+        np.cumsum([0, *(len(item.names) for item in stretches)])].tolist()
     dates = [(item.start_utc or '').partition('T')[0] for item in (results[0], results[-1])]
     names = [entry.name for entry in comparison.entries if entry.result is not None]
-    charts = []
+    charts = ''
     for k, name in enumerate(DEGREES_OF_FREEDOM):
+        unit = unit_of(k)
         status = [item.observability.status[name] for item in results]
-        known = np.array([item != UNOBSERVED for item in status])
+        known = np.flatnonzero([item != UNOBSERVED for item in status]).tolist()
         reach = _BAR * std[known, k]
         plot = Plot((-0.1, 1.1), limits(values[known, k] - reach, values[known, k] + reach),
-                    name=name, y_label=unit_of(k), x_ticks=list(zip((0, 1), dates, strict=True)))
-        for mean, first, last in zip(means, edges[:-1], edges[1:], strict=True):
-            if known.any():
-                _draw_mean(plot, places, (first, last), float(mean[0][k]), float(mean[1][k]))
-        for i in np.flatnonzero(known).tolist():
+                    name=name, y_label=unit, x_ticks=[(0, dates[0]), (1, dates[1])])
+        reading = []
+        for n, (left, right) in enumerate(pairwise(edges) if known else ()):
+            mean, bar = means[n, k], _BAR * mean_std[n][k]
+            plot.band([left, right], [mean - bar] * 2, [mean + bar] * 2, 'band-answer')
+            plot.line([left, right], [mean, mean], 'mean')
+            if n:
+                plot.vertical(left, 'change')
+            reading.append(f'{mean:.3f} ± {mean_std[n][k]:.2g} {unit}')
+        for i in known:
             plot.error_bar(
                 places[i], values[i, k], std[i, k],
                 'near pale' if status[i] == WEAK else 'near',
-                f'{names[i]}: {values[i, k]:.4g} +- {std[i, k]:.2g} {unit_of(k)}')
-        if not known.any():
+                f'{names[i]}: {values[i, k]:.4g} +- {std[i, k]:.2g} {unit}')
+        if not known:
             plot.write(0.5, 0.5, 'unknown in every recording', 'middle')
-        charts.append(figure(
-            'chart', plot,
-            _reading([(mean[k], deviation[k]) for mean, deviation in means], unit_of(k))
-            if known.any() else 'Unknown.',
-            number=name.replace(' ', ' about ')))
+        charts += figure(
+            'chart', plot, 'Unknown.' if not known else f'Mean {", then ".join(reading)}.'
+            if reading else 'No mean is formed.', number=name.replace(' ', ' about '))
     return charts
-
-
-def _reading(means: Sequence[tuple[float, float]], unit: str) -> str:
-    words = [f'{mean:.3f} ± {std:.2g} {unit}' for mean, std in means]
-    return f'Mean {", then ".join(words)}.' if words else 'No mean is formed.'
-
-
-def _draw_mean(
-    plot: Plot, places: FloatArray, stretch: tuple[int, int], mean: float, std: float,
-) -> None:
-    """Draw the mean of the recordings ``[first, last)``, and the change before them."""
-    first, last = stretch
-    between = np.concatenate([[-0.05], 0.5 * (places[1:] + places[:-1]), [1.05]])
-    left, right = float(between[first]), float(between[last])
-    plot.band([left, right], [mean - _BAR * std] * 2, [mean + _BAR * std] * 2, 'band-answer')
-    plot.line([left, right], [mean, mean], 'mean')
-    if first:
-        plot.vertical(left, 'change')
 
 
 def _places(results: Sequence[CalibrationResult]) -> FloatArray:
@@ -108,19 +101,11 @@ def _places(results: Sequence[CalibrationResult]) -> FloatArray:
     dates = np.array([float(item.start_ns or 0) for item in results])
     even = np.linspace(0, 1, len(results))
     span = dates[-1] - dates[0]
-    if span <= 0:
+    # Recordings of one day beside one of another year would be a single blot.
+    if span <= 0 or np.min(np.diff(dates)) < 0.3 / len(results) * span:
         return even
     by_date: FloatArray = (dates - dates[0]) / span
-    # Recordings of one day beside one of another year would be a single blot.
-    crowded = np.min(np.diff(by_date)) < 0.3 / len(results)
-    return even if crowded else by_date
-
-
-def _table(comparison: Comparison) -> str:
-    units = ('m', 'm', 'm', 'deg', 'deg', 'deg')
-    head = ('', 'date', *(f'{name}, {unit}' for name, unit in zip(NAMES, units, strict=True)),
-            'residual, m', 'findings')
-    return table(head, [_row(entry) for entry in comparison.entries], 'numbers')
+    return by_date
 
 
 def _row(entry: Entry) -> tuple[str, ...]:

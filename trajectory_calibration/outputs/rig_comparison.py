@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import Any
 
 import numpy as np
 
-from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
-from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import TO_DEGREES
+from trajectory_calibration.outputs.comparison_table import csv_text
 from trajectory_calibration.rig.comparison import Change, RigComparison
 
 
@@ -20,25 +18,22 @@ def format_comparison(found: RigComparison) -> str:
     lines = [str(found), '', (f'  in {found.base:<11}{"moved by, mm":>18}{"deg":>18}'
                               f'{"chi-squared":>16}  verdict')]
     for item in found.sensors:
-        (t, s_t), (R, s_R) = (
-            (factor * _length(item.step[part]), factor * _length(item.std[part]))
-            for factor, part in ((1e3, slice(3)), (180 / np.pi, slice(3, 6))))
-        lines.append(f'  {item.sensor:<14}{f"{t:.1f} +- {s_t:.1f}":>18}'
+        # The lengths of what is known.
+        (t, R), (s_t, s_R) = (
+            np.sqrt(np.nansum(np.reshape(TO_DEGREES * values, (2, 3)) ** 2, axis=1))
+            for values in (item.step, item.std))
+        unknown = ', '.join(np.array(COMPONENTS)[np.isnan(item.std)])
+        lines.append(f'  {item.sensor:<14}{f"{1e3 * t:.1f} +- {1e3 * s_t:.1f}":>18}'
                      f'{f"{R:.3f} +- {s_R:.3f}":>18}'
                      f'{f"{item.chi_squared:.1f} of {item.degrees}":>16}  '
-                     f'{_verdict(found, item)}{_open(item)}')
+                     f'{_verdict(found, item)}{f" ({unknown} not compared)" if unknown else ""}')
     lines += [f'  {name:<14}{"not compared":>18}' for name in found.missing]
     return '\n'.join(lines) + '\n'
 
 
 def comparison_csv(found: RigComparison) -> str:
     """Return one row for each sensor, the units in the names of the columns."""
-    text = io.StringIO()
-    rows = _rows(found)
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator='\n')
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text(_rows(found))
 
 
 def comparison_data(found: RigComparison) -> dict[str, Any]:
@@ -50,30 +45,20 @@ def comparison_data(found: RigComparison) -> dict[str, Any]:
         'p_value': found.p_value}
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _rows(found: RigComparison) -> list[dict[str, str | float | int | None]]:
     """Return what is told of each sensor: metres, degrees, chi-squared, verdict."""
-    return [{
-        'sensor': item.sensor, 'verdict': _verdict(found, item),
-        **{f'{kind}{axis}_{unit}': _number(factor * values[3 * turn + k])
-           for turn, (unit, factor) in enumerate((('m', 1.0), ('deg', 180 / np.pi)))
-           for k, axis in enumerate('xyz')
-           for kind, values in (('d', item.step), ('std_', item.std))},
-        'chi_squared': item.chi_squared, 'degrees_of_freedom': item.degrees,
-        'p_value': item.p_value} for item in found.sensors]
-
-
-def _length(values: FloatArray) -> float:
-    """Return the length of what is known of a vector."""
-    return float(np.sqrt(np.nansum(values**2)))
-
-
-def _open(item: Change) -> str:
-    names = [name for name, std in zip(DEGREES_OF_FREEDOM, item.std, strict=True) if np.isnan(std)]
-    return f' ({", ".join(names)} not compared)' if names else ''
+    rows = []
+    for item in found.sensors:
+        row: dict[str, str | float | int | None] = {
+            'sensor': item.sensor, 'verdict': _verdict(found, item)}
+        for k, name in enumerate(('x_m', 'y_m', 'z_m', 'x_deg', 'y_deg', 'z_deg')):
+            for kind, values in (('d', item.step), ('std_', item.std)):
+                known = np.isfinite(values[k])
+                row[kind + name] = float(TO_DEGREES[k] * values[k]) if known else None
+        row.update(chi_squared=item.chi_squared, degrees_of_freedom=item.degrees,
+                   p_value=item.p_value)
+        rows.append(row)
+    return rows
 
 
 def _verdict(found: RigComparison, item: Change) -> str:
