@@ -15,8 +15,8 @@ from trajectory_calibration import calibrate, ConfigError
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.outputs.exports import placements
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.rig_exports import placements
 from trajectory_calibration.outputs.rig_report import render_rig
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.rig import RigResult

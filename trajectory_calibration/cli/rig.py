@@ -20,17 +20,11 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.outputs.exports import RIG_FILES, write_rig_exports
 from trajectory_calibration.outputs.rig_comparison import (
     comparison_csv,
     comparison_data,
     format_comparison,
-)
-from trajectory_calibration.outputs.rig_exports import (
-    KIT_FILE,
-    LAUNCH_FILE,
-    MATRICES_FILE,
-    URDF_FILE,
-    write_rig_exports,
 )
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
@@ -128,8 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _files(arguments: argparse.Namespace) -> list[Path]:
     """Return the files that will be written, but for the folders of single sensors."""
     files = [] if arguments.output is None else [
-        arguments.output / name
-        for name in (RIG_FILE, URDF_FILE, LAUNCH_FILE, KIT_FILE, MATRICES_FILE)]
+        arguments.output / name for name in (RIG_FILE, *RIG_FILES)]
     return files if arguments.report is None else [*files, arguments.report]
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A result in the formats of other tools, each as text that can be pasted.
+"""A result, or a rig, in the formats of other tools, each as text that can be pasted.
 
 ``EXPORTS`` is the registry: the command line, ``--output`` and the report take their choices
 from it. Every format holds the pose of the child in the parent, but for Kalibr's, and its
@@ -17,16 +17,25 @@ import json
 from pathlib import Path
 import re
 import shlex
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from trajectory_calibration.config.yaml_file import number, quoted
-from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.errors import ConfigError, counted, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.screen import deviation_words
+
+if TYPE_CHECKING:
+    from trajectory_calibration.rig.result import RigResult
+
+
+# What is written of a rig as a whole: one robot, a launch file, Autoware's kit, rows of poses.
+RIG_FILES = ('rig.urdf', 'static_transforms.launch.py', 'sensor_kit_calibration.yaml',
+             'transforms.tum')
 
 
 @dataclass(frozen=True)
@@ -147,7 +156,7 @@ def _static_tf(item: Placement) -> str:
         *(word for pair in _publisher_arguments(item) for word in pair)]) + '\n'
 
 
-def launch_file(items: Sequence[Placement]) -> str:
+def _launch_file(items: Sequence[Placement]) -> str:
     """Return a launch file that publishes the transforms."""
     nodes = ''
     for item in items:
@@ -206,7 +215,7 @@ def _tum(item: Placement) -> str:
             + f'{" ".join(["0", *xyz, *quaternion])}\n')
 
 
-def sensor_kit(items: Iterable[Placement]) -> str:
+def _sensor_kit(items: Iterable[Placement]) -> str:
     """Return Autoware's sensor_kit_calibration.yaml: every child under its parent."""
     lines, parent = '# sensor_kit_calibration.yaml, metres, radians\n', None
     for item in sorted(items, key=lambda item: item.parent):
@@ -241,7 +250,7 @@ EXPORTS: dict[str, Exporter] = {
         '(--frame-id)', 'sh', _static_tf, stem='static_transform'),
     'launch': Exporter(
         'launch file that publishes the pose of the child in the parent', 'launch.py',
-        lambda item: launch_file([item]), stem='static_transform'),
+        lambda item: _launch_file([item]), stem='static_transform'),
     'matrix': Exporter(
         '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'txt',
         _matrix, stem='matrix'),
@@ -254,7 +263,7 @@ EXPORTS: dict[str, Exporter] = {
                     _tum),
     'autoware': Exporter(
         'the pose of the child under its parent, as in sensor_kit_calibration.yaml', 'yaml',
-        lambda item: sensor_kit([item]), stem='sensor_kit_calibration'),
+        lambda item: _sensor_kit([item]), stem='sensor_kit_calibration'),
     'kalibr': Exporter(
         'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '
         'inverse of the pose of the child in the parent', 'yaml', _kalibr, stem='camchain'),
@@ -272,10 +281,10 @@ def write_exports(item: Placement, folder: Path) -> list[Path]:
         # The other formats may well hold a name that this one cannot.
         with suppress(ConfigError):
             contents[exporter.file_name] = exporter.encode(item)
-    return write_files(folder, contents)
+    return _write_files(folder, contents)
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+def _write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     """Write files into a folder, which is made; return them. Raises ResultError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -284,3 +293,45 @@ def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     except OSError as error:
         raise ResultError(f'{folder} cannot be written: {error.strerror or error}') from error
     return [folder / name for name in contents]
+
+
+def placements(rig: RigResult) -> list[Placement]:
+    """Return every sensor but the bases, under the frame of its base.
+
+    Raises ConfigError where two sensors have one frame.
+    """
+    frames: dict[str, str] = {}
+    for name, sensor in rig.sensors.items():
+        if sensor.frame in frames:
+            raise ConfigError(
+                f'{frames[sensor.frame]} and {name} both have the frame {sensor.frame}; name it '
+                'below the sensor: "frame: NAME"')
+        frames[sensor.frame] = name
+    return [
+        Placement(
+            rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
+            origin=f'trajectory_calibration {rig.version}, rig of '
+            f'{counted(len(rig.sensors), "sensor")}',
+        ).leaving(sensor.unobserved, rig.config.calibration)
+        for name, sensor in rig.sensors.items() if name != sensor.base]
+
+
+def write_rig_exports(rig: RigResult, folder: Path) -> list[str]:
+    """Write the files of the whole tree, and a folder of all formats for each sensor.
+
+    Return what of the rig is ``kept_back``, whose sensors are left out of every file. Raises as
+    ``placements`` and ``write_exports``.
+    """
+    every = placements(rig)
+    items = [item for item in every if not item.kept_back]
+    if items:
+        urdf = ''.join(f'<link name={quoteattr(rig.sensors[base].frame)}/>\n'
+                       for base in rig.trees) + ''.join(map(EXPORTS['urdf'].write, items))
+        body = ''.join(f'  {line}\n' for line in urdf.splitlines())
+        texts = (f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n',
+                 _launch_file(items), _sensor_kit(items),
+                 ''.join(map(EXPORTS['tum'].write, items)))
+        _write_files(folder, dict(zip(RIG_FILES, map(str.encode, texts), strict=True)))
+    for item in items:
+        write_exports(item, folder / item.child.strip('/').replace('/', '_'))
+    return [item.kept_back for item in every if item.kept_back]

@@ -24,20 +24,27 @@ def track_view(tracks: Tracks) -> str:
     """Return the view from above, over which a script lays one that can be turned."""
     names, turned = upright(tracks.pairs.poses_a[:, :3, 3])
     a, c = (poses[:, :3, 3] @ turned.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
-    keep = _kept(tracks)
+    # With both ends of each jump and gap.
+    ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
+    ends = np.clip(np.add.outer([-1, 0, 1], ends).ravel(), 0, len(a) - 1)
+    keep = np.union1d(evenly(len(a), _POSES), ends)
     both = np.concatenate([a[keep], c[keep]])
     low, high = both.min(axis=0), both.max(axis=0)
     middle, size = 0.5 * (low + high), max(float((high - low).max()), 1e-6)
-    jumps = tracks.largest_jumps()
-    gaps = np.searchsorted(keep, tracks.gaps)
-    numbers = {
-        'size': size,
-        'a': _grid(a[keep], middle, size), 'b': _grid(c[keep], middle, size),
-        'jumps': _grid(c[jumps], middle, size),
-        'gaps': gaps.tolist(), 'grid': _GRID, 'axes': names,
-    }
-    words = json.dumps(numbers, separators=(',', ':'))
-    return (f'<div class="view3d" id="view"><div class="static">{_from_above(a, c, tracks).svg()}'
+
+    def gridded(points: FloatArray) -> list[int]:
+        scaled = np.round((points - middle) / size * _GRID).astype(int)
+        # Steps from point to point: shorter, and no digit is lost.
+        steps: list[int] = np.diff(scaled, axis=0, prepend=[[0, 0, 0]]).ravel().tolist()
+        return steps
+
+    words = json.dumps({
+        'size': size, 'a': gridded(a[keep]), 'b': gridded(c[keep]),
+        'jumps': gridded(c[tracks.largest_jumps()]),
+        'gaps': np.searchsorted(keep, tracks.gaps).tolist(), 'grid': _GRID, 'axes': names,
+    }, separators=(',', ':'))
+    drawn = _from_above(a[:, :2], c[:, :2], keep, tracks).svg()
+    return (f'<div class="view3d" id="view"><div class="static">{drawn}'
             f'</div><script type="application/json" id="tracks">{words}</script></div>')
 
 
@@ -53,26 +60,13 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
     return ['xyz'[k] for k in order], np.eye(3)[order]
 
 
-def _kept(tracks: Tracks) -> FloatArray:
-    """Return the indices of poses that are drawn, with both ends of each jump and gap."""
-    ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
-    ends = np.concatenate([ends, ends - 1, ends + 1])
-    ends = ends[(ends >= 0) & (ends < len(tracks))]
-    return np.unique(np.concatenate([evenly(len(tracks), _POSES), ends]))
-
-
-def _grid(points: FloatArray, middle: FloatArray, size: float) -> list[int]:
-    scaled = np.round((points - middle) / size * _GRID).astype(int)
-    # Steps from point to point: shorter, and no digit is lost.
-    found: list[int] = np.diff(scaled, axis=0, prepend=np.zeros((1, 3), int)).ravel().tolist()
-    return found
-
-
-def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> Scene:
-    """Draw both tracks, upright, from above."""
-    keep = _kept(tracks)
-    a, c = lying(a[:, :2], c[:, :2])
-    scene = Scene.around(np.concatenate([a, c]), 'both tracks from above', WIDE, HIGH)
+def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) -> Scene:
+    """Draw both (K, 2) tracks, lying where they are higher than wide."""
+    both = np.concatenate([a, c])
+    width, height = np.ptp(both, axis=0)
+    if height > width:
+        a, c, both = (np.column_stack([points[:, 1], -points[:, 0]]) for points in (a, c, both))
+    scene = Scene.around(both, 'both tracks from above', WIDE, HIGH)
     # The step over a gap is dashed, and parts the pieces of the track.
     gaps = np.flatnonzero(np.isin(keep, tracks.gaps))
     gaps = gaps[gaps + 1 < len(keep)]
@@ -89,13 +83,6 @@ def _from_above(a: FloatArray, c: FloatArray, tracks: Tracks) -> Scene:
     scene.text(x + 8, y - 6, 'start')
     scene.scale_bar()
     return scene
-
-
-def lying(*tracks: FloatArray) -> list[FloatArray]:
-    """Return (N, 2) tracks, all with a quarter turn where they are higher than wide."""
-    width, height = np.ptp(np.concatenate(tracks), axis=0)
-    return [np.column_stack([points[:, 1], -points[:, 0]]) if height > width else points
-            for points in tracks]
 
 
 def single_track(positions: FloatArray, style: str) -> Scene:
