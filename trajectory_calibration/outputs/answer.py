@@ -250,5 +250,4 @@ def _angle_statuses(
     counts = share > _MAIN_SHARE
     # Every axis counts somewhere: an open one must be seen.
     counts[np.abs(to_angles).argmax(axis=0), np.arange(3)] = True
-    return [min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED)
-            for row in counts]
+    return [min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED) for row in counts]

@@ -113,8 +113,7 @@ def parse_transform(text: str) -> FloatArray:
     if not abs(norm - 1) <= ROTATION_TOLERANCE:
         raise ConfigError(
             f'transform {text!r}: the quaternion has norm {norm:.4g}, needed 1; order x, y, z, w')
-    return se3.from_rotation_translation(
-        se3.quaternion_to_rotation(values[3:] / norm), values[:3])
+    return se3.from_rotation_translation(se3.quaternion_to_rotation(values[3:] / norm), values[:3])
 
 
 def _split(path: str) -> tuple[Path, str | None]:

@@ -104,8 +104,7 @@ def _places(results: Sequence[CalibrationResult]) -> FloatArray:
     # Recordings of one day beside one of another year would be a single blot.
     if span <= 0 or np.min(np.diff(dates)) < 0.3 / len(results) * span:
         return even
-    by_date: FloatArray = (dates - dates[0]) / span
-    return by_date
+    return (dates - dates[0]) / span
 
 
 def _row(entry: Entry) -> tuple[str, ...]:

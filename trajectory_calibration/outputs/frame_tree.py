@@ -160,8 +160,7 @@ def _origin(item: ET.Element, path: Path) -> FloatArray:
             raise SourceError(f'{path}: {name}="{text}", needed 3 numbers; a xacro must be '
                               'expanded first (xacro FILE > robot.urdf)')
         values.append(found)
-    return se3.from_rotation_translation(
-        se3.rotation_from_roll_pitch_yaw(values[1]), values[0])
+    return se3.from_rotation_translation(se3.rotation_from_roll_pitch_yaw(values[1]), values[0])
 
 
 def numbers_of(text: str) -> FloatArray:

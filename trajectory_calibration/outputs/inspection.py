@@ -75,8 +75,7 @@ def _motions_over_window(trajectory: Trajectory) -> FloatArray:
     end = np.searchsorted(stamps_ns, stamps_ns + window_ns)
     start = np.flatnonzero(end < len(stamps_ns))
     R = trajectory.rotations
-    rotations: FloatArray = np.swapaxes(R[start], 1, 2) @ R[end[start]]
-    return rotations
+    return np.swapaxes(R[start], 1, 2) @ R[end[start]]
 
 
 def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:

@@ -102,5 +102,4 @@ class Placement:
     def _carried(self, jacobian: FloatArray) -> FloatArray | None:
         if self.covariance is None:
             return None
-        carried: FloatArray = jacobian @ self.covariance @ jacobian.T
-        return carried
+        return jacobian @ self.covariance @ jacobian.T

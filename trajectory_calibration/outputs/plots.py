@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -49,18 +49,8 @@ def plot(
     return _overview(report_data(result, a, b, T_a_b_true))
 
 
-def save_plots(
-    data: ReportData, folder: Path, formats: Sequence[str] = FORMATS,
-) -> list[Path]:
-    """Write every figure in each format; return the files.
-
-    Raises
-    ------
-    ResultError
-        The folder or a file cannot be written.
-
-    """
-    written = []
+def save_plots(data: ReportData, folder: Path) -> None:
+    """Write every figure in each format; raises ResultError where that cannot be."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, drawn in _FIGURES.items():
@@ -68,20 +58,17 @@ def save_plots(
             # Laid out once, not for each format.
             figure.draw_without_rendering()
             figure.set_layout_engine('none')
-            for kind in formats:
-                path = folder / f'{name}.{kind}'
-                figure.savefig(path, dpi=130)
-                written.append(path)
+            for kind in FORMATS:
+                figure.savefig(folder / f'{name}.{kind}', dpi=130)
     except OSError as error:
         raise ResultError(
             f'{folder} cannot be written: {error.strerror or error}; give another folder'
         ) from error
-    return written
 
 
-def plot_files(folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+def plot_files(folder: Path) -> list[Path]:
     """Return the files that ``save_plots`` writes."""
-    return [folder / f'{name}.{kind}' for name in _FIGURES for kind in formats]
+    return [folder / f'{name}.{kind}' for name in _FIGURES for kind in FORMATS]
 
 
 def _figure(width: float, height: float, title: str) -> Figure:
@@ -109,19 +96,18 @@ def _deviations(result: CalibrationResult) -> Figure:
     rows = answer_rows(result)
     for column, part in enumerate((rows[:3], rows[3:])):
         axes = figure.add_subplot(1, 2, column + 1)
+        weak, unobserved = part[0].weak_limit, part[0].unobserved_limit
         for k, row in enumerate(part):
-            std = row.std if row.is_known and row.std is not None else row.unobserved_limit
-            std = float(np.clip(std, row.weak_limit / 90, row.unobserved_limit * 3))
+            std = row.std if row.is_known and row.std is not None else unobserved
+            std = float(np.clip(std, weak / 90, unobserved * 3))
             axes.barh(2 - k, std, color=_STATUS[row.word], height=0.5)
             words = f' {row.value:.3f} {row.unit}, {row.word}' if row.is_known else ' unknown'
             axes.text(std, 2 - k, words, va='center', fontsize=8)
-        row = part[0]
-        for limit in (row.weak_limit, row.unobserved_limit):
+        for limit in (weak, unobserved):
             axes.axvline(limit, color=_SOFT, lw=0.8, ls='--')
-        axes.set_xscale('log')
-        axes.set_xlim(row.weak_limit / 100, row.unobserved_limit * 30)
+        axes.set(xscale='log', xlim=(weak / 100, unobserved * 30))
         axes.set_yticks([2, 1, 0], [row.name for row in part])
-        _plain(axes, '', f'standard deviation, {row.unit}', '')
+        _plain(axes, '', f'standard deviation, {part[0].unit}', '')
     return figure
 
 

@@ -121,8 +121,7 @@ def _tree(rig: RigResult) -> str:
         canvas.path(np.stack([at[pair.parent], at[pair.child]]), style, title=_titled(pair))
     for name, (x, y) in at.items():
         fill = _colour(rig, name) if name in rig.sensors else 'var(--unknown)'
-        note = (' (base)' if name in rig.trees else
-                '' if name in rig.sensors else ' (no answer)')
+        note = (' (base)' if name in rig.trees else '' if name in rig.sensors else ' (no answer)')
         canvas.circle(x, y, 7, css=f'fill:{fill}')
         canvas.text(x, y - 11, f'{name}{note}', 'middle')
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
@@ -158,8 +157,7 @@ def _matrix(rig: RigResult) -> str:
                  'x' if pair.failure else '-')
         for row, column in ((i, j), (j, i)):
             x, y = left + size * column, top + size * row
-            canvas.box(x, y, size - 2, size - 2, css=f'fill:var(--{colour})',
-                       title=_titled(pair))
+            canvas.box(x, y, size - 2, size - 2, css=f'fill:var(--{colour})', title=_titled(pair))
             canvas.text(x + size / 2 - 1, y + size / 2 + 4, words, 'middle')
     checked = [pair.chi_squared / pair.degrees for pair in rig.pairs if pair.degrees]
     reading = (f'Largest: {max(checked):.1f}; x: no answer.' if checked else
@@ -196,7 +194,7 @@ def _noise(rig: RigResult) -> str:
              ('drift_m', 1e3, 'Drift of positions', 'mm after 1 m'),
              ('drift_rad', 180 / np.pi, 'Drift of rotations', 'deg after 1 m'))
     row, left, longest = 24, 98, 200
-    found = []
+    figures = ''
     for field, factor, title, unit in kinds:
         values = {name: factor * getattr(noise, field) for name, noise in noises.items()}
         worst = max(values, key=values.__getitem__)
@@ -206,9 +204,9 @@ def _noise(rig: RigResult) -> str:
             canvas.text(left - 6, y + 11, name[-14:], 'end', '')
             canvas.box(left, y, max(width, 1), 14, css=f'fill:{_colour(rig, name)}')
             canvas.text(left + width + 6, y + 11, f'{value:.2g}')
-        found.append(figure('noise', canvas, f'Largest: {worst}, {values[worst]:.2g} {unit}.',
-                            noise=title, unit=unit))
-    return ''.join(found)
+        figures += figure('noise', canvas, f'Largest: {worst}, {values[worst]:.2g} {unit}.',
+                          noise=title, unit=unit)
+    return figures
 
 
 def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:

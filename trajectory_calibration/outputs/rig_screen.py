@@ -93,6 +93,5 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
             1e3 * noise.white_m, np.rad2deg(noise.white_rad),
             1e3 * noise.drift_m, np.rad2deg(noise.drift_rad))]
         clock = '-' if sensor.name == sensor.base else clock_text(sensor)
-        lines.append(form.format(
-            sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
+        lines.append(form.format(sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
     return lines

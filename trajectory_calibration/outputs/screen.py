@@ -59,9 +59,7 @@ def format_transform(result: CalibrationResult) -> str:
     return ' '.join(transform_words(result, 9, 9)) + '\n'
 
 
-def transform_words(
-    result: CalibrationResult, digits: int, quaternion_digits: int,
-) -> list[str]:
+def transform_words(result: CalibrationResult, digits: int, quaternion_digits: int) -> list[str]:
     """Return x, y, z, qx, qy, qz, qw; 'unknown' for what is not determined."""
     rows = answer_rows(result)
     words = [fixed(row.value, digits) if row.is_known else row.word for row in rows[:3]]
@@ -92,9 +90,7 @@ def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
     return lines
 
 
-def finding_lines(
-    findings: Iterable[Finding], terminal: Terminal, most: int | None,
-) -> list[str]:
+def finding_lines(findings: Iterable[Finding], terminal: Terminal, most: int | None) -> list[str]:
     """Return a blank line and the worst findings, at most ``most``, and how many are left."""
     ordered = worst_first(findings)
     lines = ['']
@@ -179,8 +175,7 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
             read = f' in the last of {counted(messages, "message")}'
         longest = f', the longest {item["longest_gap_s"]:.3f} s' if item['gaps'] else ''
         gaps = counted(item['gaps'], 'gap') + longest if item['gaps'] else 'no gaps'
-        lines += _marked(
-            ((one['level'], one['text']) for one in item['findings']), terminal)
+        lines += _marked(((one['level'], one['text']) for one in item['findings']), terminal)
         lines += terminal.aligned({
             **({'read as': item['read_as']} if item.get('read_as') else {}),
             'frames': ('not named in the file' if item['sensor_frame'] is None

@@ -9,10 +9,4 @@ from trajectory_calibration.outputs.report.render import (
     render_report,
 )
 
-__all__ = [
-    'Record',
-    'hash_inputs',
-    'render_box',
-    'render_failure',
-    'render_report',
-]
+__all__ = ['Record', 'hash_inputs', 'render_box', 'render_failure', 'render_report']

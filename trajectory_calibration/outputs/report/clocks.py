@@ -86,9 +86,7 @@ def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
     return np.linspace(begin, begin + length, _POINTS)
 
 
-def _rate(
-    trajectory: Trajectory, seconds: FloatArray, start: int, window_s: float,
-) -> FloatArray:
+def _rate(trajectory: Trajectory, seconds: FloatArray, start: int, window_s: float) -> FloatArray:
     """Return (P,) degrees a second, by the angle over a window around each time."""
     times = _seconds(trajectory, start)
     first = np.clip(np.searchsorted(times, seconds - window_s / 2), 0, len(times) - 2)
@@ -100,9 +98,7 @@ def _rate(
     return np.where(known, np.rad2deg(angle) / took, np.nan)
 
 
-def _correlate(
-    a: Trajectory, b: Trajectory, usual_s: float,
-) -> tuple[FloatArray, FloatArray]:
+def _correlate(a: Trajectory, b: Trajectory, usual_s: float) -> tuple[FloatArray, FloatArray]:
     """Return offsets and the largest correlation that any rotation between both allows."""
     start = int(max(a.stamps_ns[0], b.stamps_ns[0]))
     duration = (int(min(a.stamps_ns[-1], b.stamps_ns[-1])) - start) * 1e-9

@@ -116,14 +116,12 @@ class ReportData:
         From the direction of the translation that is known best: deviation times gain is the
         same for all of them. None where there is no covariance.
         """
-        observability, P = self.result.observability, self.result.covariance
-        if P is None or not len(observability.translation_axes):
+        P, axes = self.result.covariance, np.array(self.result.observability.translation_axes)
+        if P is None or not len(axes):
             return None
-        axes = np.array(observability.translation_axes)
         std = np.sqrt(np.maximum(np.einsum('ki,ij,kj->k', axes, P[:3, :3], axes), 0.0))
-        gain = np.array(observability.translation_gain)
-        need = float(np.min(std * gain)) / max(self.result.config.weak_translation, 1e-9)
-        return float(np.rad2deg(need))
+        least = np.min(std * self.result.observability.translation_gain)
+        return float(np.rad2deg(least / max(self.result.config.weak_translation, 1e-9)))
 
     @property
     def driven(self) -> str:
@@ -135,8 +133,7 @@ class ReportData:
         parts, limits = self.parts, self.rows[k]
         values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
         std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
-        own = 0.0 if self.result.std is None else float(self.result.std[k])
-        own = float(np.rad2deg(own)) if k >= 3 else own
+        own = 0.0 if self.result.std is None else float(TO_DEGREES[k] * self.result.std[k])
         is_open = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
         known = np.isfinite(std) & (std < limits.unobserved_limit) & (not is_open)
         # Beyond chance, and beyond what anybody would call a difference.
@@ -153,19 +150,13 @@ def report_data(
 ) -> ReportData:
     """Compute what the figures show.
 
-    Raises
-    ------
-    AssociationError
-        The trajectories have no common time under the clock of the result.
-
+    Raises AssociationError where the two have no common time under the clock of the result.
     """
     b = corrected_b(result, b)
     tracks = compare_tracks(result, a, b)
     return ReportData(
         result, answer_rows(result, T_a_b_true), tracks,
-        compare_parts(tracks, result),
-        _residuals(tracks, result),
-        compare_clocks(a, b),
+        compare_parts(tracks, result), _residuals(tracks, result), compare_clocks(a, b),
         _path_scale(tracks))
 
 

@@ -83,8 +83,7 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> Plot:
                 y_label=f'{unit_of(part.start)}, standard deviation')
     if low < limit < high:
         # At the end where the curves are not.
-        plot.horizontal(
-            limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
+        plot.horizontal(limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
     for axis, std in zip('xyz', values.T, strict=True):
         plot.line(data.parts.growth_s, std, f'line-{axis}')
     return plot

@@ -40,8 +40,7 @@ def ticks(low: float, high: float, count: int = _TICKS) -> FloatArray:
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * next(factor for factor in (1, 2, 5, 10) if factor * power >= 0.999 * raw)
     first = np.ceil(low / step - 1e-9)
-    found: FloatArray = step * np.arange(first, np.floor(high / step + 1e-9) + 1)
-    return found
+    return step * np.arange(first, np.floor(high / step + 1e-9) + 1)
 
 
 def log_ticks(low: float, high: float) -> FloatArray:
@@ -185,8 +184,7 @@ def ellipse(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, 49)[:-1]
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    points: FloatArray = circle * np.sqrt(_ELLIPSE * np.maximum(values, 0.0)) @ vectors.T
-    return points
+    return circle * np.sqrt(_ELLIPSE * np.maximum(values, 0.0)) @ vectors.T
 
 
 class Mark(NamedTuple):
@@ -355,8 +353,7 @@ def _axis(
     def place(values: ArrayLike) -> FloatArray:
         if log:
             values = np.log10(np.maximum(values, 1e-12))
-        placed: FloatArray = start + (np.clip(values, low, high) - low) * scale
-        return placed
+        return start + (np.clip(values, low, high) - low) * scale
 
     return place
 

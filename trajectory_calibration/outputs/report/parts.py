@@ -122,9 +122,7 @@ def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
     return [(seconds, lag) for lag, seconds in by_lag.items()]
 
 
-def lagged(
-    tracks: Tracks, lag: int, count: int,
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def lagged(tracks: Tracks, lag: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap.
 
     They last about as long as ``lag`` usual steps.
@@ -159,8 +157,7 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
     A, C, residual = tracks.motions(i, j)
     sigma = tracks.covariance(T_a_b, A, i, j)
     of_a, of_c = _jacobian(T_a_b, A, A), _jacobian(T_a_b, A, C)
-    weighted = np.linalg.solve(
-        sigma, np.concatenate([of_a, of_c, residual[:, :, None]], axis=2))
+    weighted = np.linalg.solve(sigma, np.concatenate([of_a, of_c, residual[:, :, None]], axis=2))
     chi = np.sqrt(np.einsum('ki,ki->k', residual, weighted[:, :, 12]))
     keep = chi <= _OUTLIER * max(float(np.median(chi)), 1e-12)
     mean = 0.5 * (of_a + of_c)
@@ -205,8 +202,7 @@ def _bounded_inverse(information: FloatArray, held: FloatArray) -> FloatArray:
     information = information + held
     values, vectors = np.linalg.eigh(UNKNOWN[:, None] * information * UNKNOWN)
     root = UNKNOWN[:, None] * vectors / np.sqrt(np.maximum(values, 0.0) + 1.0)
-    inverse: FloatArray = root @ root.T
-    return inverse
+    return root @ root.T
 
 
 def _long_run(scores: FloatArray, window: int) -> FloatArray:
@@ -216,8 +212,7 @@ def _long_run(scores: FloatArray, window: int) -> FloatArray:
         product = scores[lag:].T @ scores[:-lag]
         total = total + (1 - lag / (window + 1)) * (product + product.T)
     values, vectors = np.linalg.eigh(total)
-    clipped: FloatArray = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return clipped
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _growth(
@@ -225,8 +220,7 @@ def _growth(
 ) -> tuple[FloatArray, FloatArray]:
     """Return times and (T, 6) standard deviations, which end at those of the answer."""
     running = np.cumsum(scores.information, axis=0)
-    ends = np.unique(np.linspace(
-        len(running) / _CURVE, len(running), _CURVE).astype(np.intp)) - 1
+    ends = np.unique(np.linspace(len(running) / _CURVE, len(running), _CURVE).astype(np.intp)) - 1
     ends = ends[ends >= 0]
     std = np.array([np.sqrt(np.diagonal(_bounded_inverse(running[end], held))) for end in ends])
     if result.covariance is not None:

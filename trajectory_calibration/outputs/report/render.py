@@ -85,8 +85,7 @@ def render_failure(
     figures = ''.join(map(_input_figure, 'ab', trajectories))
     if len(trajectories) == 2:
         figures += _together(*trajectories)
-    body = section(
-        1, 'What was found of the inputs', figures, columns=2) if figures else ''
+    body = section(1, 'What was found of the inputs', figures, columns=2) if figures else ''
     last = section(2, 'Record', record_cards(record, config or CalibrationConfig(), [
         found for trajectory in trajectories for found in trajectory.findings]))
     return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'))

@@ -24,8 +24,7 @@ _NORMAL_TAIL = 0.0027
 
 def sections(data: ReportData) -> str:
     """Return sections 1 to 5."""
-    return ''.join((
-        _tracks(data), _motion(data), _parts(data), _residuals(data), _clocks(data)))
+    return ''.join((_tracks(data), _motion(data), _parts(data), _residuals(data), _clocks(data)))
 
 
 def _tracks(data: ReportData) -> str:
@@ -134,8 +133,7 @@ def _residuals(data: ReportData) -> str:
             reading = 'Median ' + ', '.join(
                 f'{median[end]:.2g} {"deg" if kind else "m"} over {found.scales_s[end]:g} s'
                 for end in (0, -1)) + '.'
-        figures += figure(
-            'residual by scale', draw.box_by_scale(data, kind), reading, part=part)
+        figures += figure('residual by scale', draw.box_by_scale(data, kind), reading, part=part)
     lead = (f'Motions {reference_words(data.result.reference or data.result.config.reference)}: '
             f'mean {metrics.e_rt:.3g} m, {np.rad2deg(metrics.e_rR):.3g} deg per motion. This is '
             'the fit, not the accuracy of the extrinsic.')

@@ -38,11 +38,15 @@ class Mounted(NamedTuple):
     status: Mapping[str, str]
     colour: str
 
+    @property
+    def unknown(self) -> list[str]:
+        """Return those of x, y, z that nothing determines."""
+        return [axis for axis in 'xyz' if self.status[axis] == UNOBSERVED]
+
 
 def sensor_views(sensors: Sequence[Mounted]) -> str:
     """Return figures of sensors seen along z, y and x of the frame of the first one."""
-    known = np.array([[sensor.status['xyz'[k]] != UNOBSERVED for k in range(3)]
-                      for sensor in sensors])
+    known = np.array([[axis not in sensor.unknown for axis in 'xyz'] for sensor in sensors])
     # What is unknown of a sensor is drawn at its origin, without a size.
     places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
     P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
@@ -53,47 +57,43 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
     # One scale for all views; x is never upright, z never level.
     pixels = float(min((_WIDTH - 2 * _MARGIN) / extent[:2].max(),
                        (_HEIGHT - 2 * _MARGIN) / extent[1:].max()))
-    found = []
+    figures = ''
     for axes, along in (([0, 1], 'z'), ([0, 2], 'y'), ([1, 2], 'x')):
-        across, up = ('xyz'[axis] for axis in axes)
         scene = Scene(f'sensors seen along {along}', _WIDTH, _HEIGHT,
                       0.5 * (low + high)[axes], pixels)
-        scene.legend(across, up)
+        scene.legend(*('xyz'[axis] for axis in axes))
         regions = [ellipse(item[np.ix_(axes, axes)]) for item in P]
         size = float(np.abs(regions).max()) * pixels
         # How much they must grow to be seen; those of no size never are.
         larger = next((factor for factor in _FACTORS if size * factor >= _VISIBLE), 1)
         if larger > 1:
             scene.text(_WIDTH - 6, 12, f'ellipses drawn {larger} times as large', 'end')
-        for sensor, place, region, is_known in zip(
-                sensors, places[:, axes], regions, known, strict=True):
-            _draw(scene, sensor, axes, place, larger * region, is_known)
-        unknown = [f'{", ".join(np.array(list("xyz"))[~item])} of {sensor.name}'
-                   for sensor, item in zip(sensors, known, strict=True) if not item.all()]
+        for sensor, place, region in zip(sensors, places[:, axes], regions, strict=True):
+            _draw(scene, sensor, axes, place, larger * region)
+        unknown = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors
+                            if (names := sensor.unknown))
         where = ' along the stripe' if not known[:, axes].all() else ''
-        found.append(figure(
-            'sensors', scene, f'{"; ".join(unknown)}: unknown{where}.' if unknown else
+        figures += figure(
+            'sensors', scene, f'{unknown}: unknown{where}.' if unknown else
             'Each sensor lies in its ellipse with 95 % probability.',
-            axis=along, base=sensors[0].name))
-    return ''.join(found)
+            axis=along, base=sensors[0].name)
+    return figures
 
 
 def _draw(
     scene: Scene, sensor: Mounted, axes: list[int], place: FloatArray, region: FloatArray,
-    known: FloatArray,
 ) -> None:
     x, y = scene.place(place)
-    if not known[axes[0]]:
+    if 'xyz'[axes[0]] in sensor.unknown:
         scene.box(0, y - 7, _WIDTH, 14, 'open')
-    if not known[axes[1]]:
+    if 'xyz'[axes[1]] in sensor.unknown:
         scene.box(x - 7, 0, 14, _HEIGHT, 'open')
     if region.any():
         scene.line(place + region, 'ellipse', f'stroke:{sensor.colour}', closed=True)
     scene.line(np.stack([np.zeros(2), place]), 'lever')
     scene.axes(place, sensor.T[axes, :3], _ARM / scene.pixels)
     scene.dot(place, 4, css=f'fill:{sensor.colour}')
-    unknown = ', '.join(name for name, is_known in zip('xyz', known, strict=True) if not is_known)
+    words = f' ({", ".join(sensor.unknown)} unknown)' if sensor.unknown else ''
     at_right = x > _AT_RIGHT * _WIDTH
-    scene.text(x + (-7 if at_right else 7), y - 7,
-               f'{sensor.name} ({unknown} unknown)' if unknown else sensor.name,
+    scene.text(x + (-7 if at_right else 7), y - 7, sensor.name + words,
                'end' if at_right else 'start')

@@ -72,9 +72,7 @@ def legend(*items: tuple[str, str]) -> str:
     return f'<p class="legend">{inside}</p>'
 
 
-def section(
-    number_: int, title: str, inside: str, lead: str = '', *, columns: int = 3,
-) -> str:
+def section(number_: int, title: str, inside: str, lead: str = '', *, columns: int = 3) -> str:
     """Return a numbered section of the page."""
     words = f'<p class="lead">{escape(lead)}</p>' if lead else ''
     return (f'<section id="s{number_}"><h2><span>{number_}</span>{escape(title)}</h2>{words}'

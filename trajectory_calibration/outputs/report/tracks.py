@@ -159,8 +159,7 @@ def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float
     near = np.diff(seconds) <= _NEAR * float(np.median(np.diff(seconds)))
     known = np.concatenate([[True], near]) & np.concatenate([near, [True]])
     moved = poses_b.copy()
-    moved[:, :3, 3] += latency_s * known[:, None] * np.gradient(
-        poses_b[:, :3, 3], seconds, axis=0)
+    moved[:, :3, 3] += latency_s * known[:, None] * np.gradient(poses_b[:, :3, 3], seconds, axis=0)
     return moved
 
 
@@ -178,8 +177,7 @@ def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
     # Each counts by how well it agrees.
     turn = float(np.mean(se3.rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_c) ** 2))
     shift = float(np.mean(np.sum((p_a - mean_a - (p_c - mean_c) @ R.T) ** 2, axis=1)))
-    R = se3.nearest_rotation(
-        by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
+    R = se3.nearest_rotation(by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
     return se3.from_rotation_translation(R, mean_a - R @ mean_c)
 
 

@@ -35,8 +35,7 @@ def track_view(tracks: Tracks) -> str:
     def gridded(points: FloatArray) -> list[int]:
         scaled = np.round((points - middle) / size * _GRID).astype(int)
         # Steps from point to point: shorter, and no digit is lost.
-        steps: list[int] = np.diff(scaled, axis=0, prepend=[[0, 0, 0]]).ravel().tolist()
-        return steps
+        return np.diff(scaled, axis=0, prepend=[[0, 0, 0]]).ravel().tolist()
 
     words = json.dumps({
         'size': size, 'a': gridded(a[keep]), 'b': gridded(c[keep]),
