@@ -54,7 +54,10 @@ def read_extrinsic(
         The file cannot be read, holds none of ``FORMS``, or several transforms.
 
     """
-    file, key = _split(str(path))
+    file, key = Path(path), None
+    name, mark, picked = str(path).rpartition('#')
+    if mark and not file.exists():
+        file, key = Path(name), picked
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -116,13 +119,6 @@ def parse_transform(text: str) -> FloatArray:
     return se3.from_rotation_translation(se3.quaternion_to_rotation(values[3:] / norm), values[:3])
 
 
-def _split(path: str) -> tuple[Path, str | None]:
-    file, mark, key = path.rpartition('#')
-    if mark and not Path(path).exists():
-        return Path(file), key
-    return Path(path), None
-
-
 def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
     """Return a checked (4, 4) pose of a (4, 4) or (3, 4) matrix, its rotation made exact."""
     if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
@@ -182,14 +178,20 @@ def _from_urdf(
 
 def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownExtrinsic:
     """Read ``R:`` and ``T:``, ``R_02:`` and ``T_02:``, ``Tr:`` or ``Tr_velo_to_cam:``."""
+    def values(name: str, *shape: int) -> FloatArray:
+        found = numbers_of(rows[name])
+        if found.size != np.prod(shape):
+            raise SourceError(
+                f'{file}: {name} has {found.size} numbers, needed {np.prod(shape)}')
+        return found.reshape(shape)
+
     matrices = {}
-    for name, text in rows.items():
+    for name in rows:
+        translation = f'T{name[1:]}'
         if name.startswith('Tr'):
-            matrices[name] = _values(text, 12, name, file).reshape(3, 4)
-        elif re.fullmatch(r'R(_\d+)?', name) and f'T{name[1:]}' in rows:
-            R = _values(text, 9, name, file).reshape(3, 3)
-            t = _values(rows[f'T{name[1:]}'], 3, f'T{name[1:]}', file)
-            matrices[name[2:] or name] = np.column_stack([R, t])
+            matrices[name] = values(name, 3, 4)
+        elif re.fullmatch(r'R(_\d+)?', name) and translation in rows:
+            matrices[name[2:] or name] = np.hstack([values(name, 3, 3), values(translation, 3, 1)])
     if key is None:
         # Camera 0 in camera 0 is no news.
         matrices.pop('00', None)
@@ -199,13 +201,6 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
         se3.inverse(_rigid(matrix, file)),
         'KITTI, which maps points of the first sensor to the second (calib_velo_to_cam: a velo, '
         'b cam); inverted to the pose of the second in the first')
-
-
-def _values(text: str, count: int, name: str, file: Path) -> FloatArray:
-    values = numbers_of(text)
-    if values.size != count:
-        raise SourceError(f'{file}: {name} has {values.size} numbers, needed {count}')
-    return values
 
 
 def _from_mapping(

@@ -26,15 +26,9 @@ _REACH_S, _WINDOW_S = 0.5, 0.2
 class Clocks:
     """When the two sensors turned, and when they have poses.
 
-    Attributes
-    ----------
-    seconds : (P,) from the start, of the part with the most turning.
-    rate_a, rate_b : (P,) degrees a second; NaN in gaps.
-    offsets_s : (L,) added to the stamps of b on top of the answer.
-    correlation : (L,) of the rotations at that offset, at most 1.
-    spans_a, spans_b : (S, 2) seconds from the start in which there are poses without a gap.
-    duration_s : from the first pose of either to the last.
-
+    Rates, (P,) degrees a second, NaN in gaps, at ``seconds`` from the start, of the part with the
+    most turning; ``correlation``, (L,), of the rotations with ``offsets_s`` added to the stamps of
+    b on top of the answer; spans, (S, 2) seconds from the start with poses and no gap.
     """
 
     seconds: FloatArray

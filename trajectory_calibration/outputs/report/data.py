@@ -45,15 +45,10 @@ _FAR, _NOTABLE = 3.0, 0.2
 class Residuals:
     """What is left of the motions when b is carried over to a, in the axes of a.
 
-    Attributes
-    ----------
-    seconds : (M,) from the start, of the end of each motion.
-    values, sigma : (M, 6) metres and degrees, and what the identified noise makes likely.
-    excluded : (M,) bool, motions across a jump.
-    scales_s : (S,) seconds.
-    by_scale : (S, 2, 5) quantiles 5, 25, 50, 75, 95 % of the size: metres, degrees.
-    expected : (S, 2) root mean square that the identified noise makes likely.
-
+    ``values``, (M, 6) metres and degrees, at ``seconds``, the ends of the motions, with the
+    ``sigma`` that the identified noise makes likely; ``excluded``, (M,), across a jump. By time
+    scale, (S,): quantiles 5, 25, 50, 75, 95 % of the size, (S, 2, 5), and the ``expected`` root
+    mean square, (S, 2): metres, degrees.
     """
 
     seconds: FloatArray

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from html import escape
 from importlib.resources import files
 import platform
@@ -21,7 +20,6 @@ FORMATS = {
 }
 
 
-@cache
 def asset(name: str) -> str:
     """Return the text of a file beside this module."""
     return (files(__package__) / name).read_text(encoding='utf-8')

@@ -49,15 +49,9 @@ _CURVE = 24
 class Parts:
     """Answers of parts of the data minus the answer; metres along, degrees about x, y, z of a.
 
-    Attributes
-    ----------
-    quarters, quarter_std : (4, 6); NaN where a quarter says nothing.
-    scales_s : (S,) seconds.
-    scales, scale_std : (S, 6).
-    growth_s : (T,) seconds of driving.
-    growth_std : (T, 6), the standard deviation that this much of the drive would have given; NaN
-        where nothing determines the direction.
-
+    Of quarters, (4, 6), NaN where one says nothing; of time scales, (S, 6), of ``scales_s``
+    seconds. ``growth_std``, (T, 6), is what ``growth_s`` seconds of the drive would have given;
+    NaN where nothing determines the direction.
     """
 
     quarters: FloatArray

@@ -33,18 +33,11 @@ _NEAR = 3.0
 class Tracks:
     """The poses of a, and those of a as b reports them through the extrinsic.
 
-    Attributes
-    ----------
-    pairs : poses of both at common times; clock, scale and drift of b corrected.
-    poses_c : (K, 4, 4), sensor a as b reports it, moved as a whole onto the track of a.
-    seconds : (K,) from the first pair.
-    path_m : (K,) driven by a until then.
-    distance_m, angle_deg : (K,) between the two.
-    jumps : (J,) indices of the poses after a jump.
-    usable : (K - 1,) steps without a jump.
-    gaps : (G,) indices of the poses before a pause of either sensor.
-    noise : of both sensors together.
-
+    ``pairs`` are poses of both at common times, clock, scale and drift of b corrected;
+    ``poses_c``, (K, 4, 4), sensor a as b reports it, moved as a whole onto the track of a. (K,):
+    ``seconds`` from the first pair, ``path_m`` driven by a until then, ``distance_m`` and
+    ``angle_deg`` between the two. Indices of the poses after ``jumps``, (J,), and before
+    ``gaps`` of either sensor, (G,); ``usable``, (K - 1,), are steps without a jump.
     """
 
     pairs: PosePairs
