@@ -9,7 +9,7 @@ from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.outputs.rig_comparison import comparison_data, format_comparison
+from trajectory_calibration.outputs.comparison_table import rig_to_data, rig_to_text
 from trajectory_calibration.rig import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs
 from trajectory_calibration.rig.observed import (
@@ -129,9 +129,9 @@ def test_rigs_of_flat_drives_are_compared_without_their_heights():
     assert same.holds
     assert same.degrees == 10
     other.sensors['c'].T_base_sensor[1, 3] += 0.5
-    table = format_comparison(same)
+    table = rig_to_text(same)
     assert table.count('holds (z not compared)') == 2
-    assert [row['dz_m'] for row in comparison_data(same)['sensors']] == [None, None]
+    assert [row['dz_m'] for row in rig_to_data(same)['sensors']] == [None, None]
     assert all(np.nansum(item.std[:3]) < 0.5 for item in same.sensors)
     moved = compare_rigs(one, other)
     assert [change.sensor for change in moved.changes] == ['c']

@@ -20,12 +20,8 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
+from trajectory_calibration.outputs.comparison_table import rig_to_csv, rig_to_data, rig_to_text
 from trajectory_calibration.outputs.exports import RIG_FILES, write_rig_exports
-from trajectory_calibration.outputs.rig_comparison import (
-    comparison_csv,
-    comparison_data,
-    format_comparison,
-)
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
@@ -209,14 +205,14 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
         _print_comparison(one, arguments.format)
         if arguments.output is not None:
             folder: Path = arguments.output / path.stem if len(others) > 1 else arguments.output
-            write_text(folder / 'table.csv', comparison_csv(one))
-            write_text(folder / 'table.json', json.dumps(comparison_data(one)) + '\n')
+            write_text(folder / 'table.csv', rig_to_csv(one))
+            write_text(folder / 'table.json', json.dumps(rig_to_data(one)) + '\n')
     return _status(found)
 
 
 def _print_comparison(found: RigComparison, form: str) -> None:
-    print_as(form, comparison_data(found),
-             comparison_csv(found) if form == 'csv' else format_comparison(found))
+    print_as(form, rig_to_data(found),
+             rig_to_csv(found) if form == 'csv' else rig_to_text(found))
 
 
 def _status(found: Sequence[RigComparison]) -> int:

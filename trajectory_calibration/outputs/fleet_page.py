@@ -19,8 +19,13 @@ from trajectory_calibration.outputs.answer import NAMES, TO_DEGREES
 from trajectory_calibration.outputs.comparison_table import cells_of
 from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
-from trajectory_calibration.outputs.report.page import page
-from trajectory_calibration.outputs.report.text import figure, section, table, verdict_section
+from trajectory_calibration.outputs.report.page import (
+    figure,
+    page,
+    section,
+    table,
+    verdict_section,
+)
 from trajectory_calibration.result import CalibrationResult
 
 # Half a bar: two standard deviations, as 95 % of errors.

@@ -15,16 +15,16 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
-from trajectory_calibration.outputs.report.page import page
-from trajectory_calibration.outputs.report.record import Record, record_cards
-from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
-from trajectory_calibration.outputs.report.text import (
+from trajectory_calibration.outputs.report.page import (
     figure,
     next_step,
+    page,
     section,
     table,
     verdict_section,
 )
+from trajectory_calibration.outputs.report.record import Record, record_cards
+from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import clock_text, scale_text, sensor_rows

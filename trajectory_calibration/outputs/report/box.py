@@ -12,8 +12,7 @@ from trajectory_calibration.errors import CalibrationError, in_sigmas
 from trajectory_calibration.outputs.answer import judge, Row, TITLES
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.placement import Placement
-from trajectory_calibration.outputs.report.page import filled, FORMATS
-from trajectory_calibration.outputs.report.text import next_step, verdict_section
+from trajectory_calibration.outputs.report.page import filled, FORMATS, next_step, verdict_section
 from trajectory_calibration.outputs.screen import details
 from trajectory_calibration.result import CalibrationResult
 

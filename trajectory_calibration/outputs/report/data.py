@@ -17,6 +17,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, Row, TO_DEGREES
 from trajectory_calibration.outputs.report.clocks import Clocks, compare_clocks
+from trajectory_calibration.outputs.report.page import metres
 from trajectory_calibration.outputs.report.parts import (
     compare_parts,
     lag_of,
@@ -24,7 +25,6 @@ from trajectory_calibration.outputs.report.parts import (
     Parts,
     time_scales,
 )
-from trajectory_calibration.outputs.report.text import metres
 from trajectory_calibration.outputs.report.tracks import compare_tracks, corrected_b, Tracks
 from trajectory_calibration.result import CalibrationResult
 

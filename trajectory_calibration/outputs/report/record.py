@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, worst_first
-from trajectory_calibration.outputs.report.page import asset, versions
-from trajectory_calibration.outputs.report.text import table
+from trajectory_calibration.outputs.report.page import asset, table, versions
 
 _BLOCK = 1 << 20
 

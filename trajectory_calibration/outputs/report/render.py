@@ -16,18 +16,19 @@ from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
 from trajectory_calibration.outputs.report.data import report_data, ReportData
-from trajectory_calibration.outputs.report.page import page, style
-from trajectory_calibration.outputs.report.record import Record, record_cards
-from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
-from trajectory_calibration.outputs.report.text import (
+from trajectory_calibration.outputs.report.page import (
     figure,
     legend,
     metres,
     next_step,
+    page,
     section,
     sentence,
+    style,
     verdict_section,
 )
+from trajectory_calibration.outputs.report.record import Record, record_cards
+from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
 from trajectory_calibration.outputs.report.view3d import single_track
 from trajectory_calibration.result import CalibrationResult
 

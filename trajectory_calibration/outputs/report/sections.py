@@ -10,8 +10,8 @@ from trajectory_calibration.assessment.observability import OBSERVED
 from trajectory_calibration.errors import counted
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
+from trajectory_calibration.outputs.report.page import figure, legend, metres, section
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
-from trajectory_calibration.outputs.report.text import figure, legend, metres, section
 from trajectory_calibration.outputs.report.tracks import MOST_JUMPS
 from trajectory_calibration.outputs.report.view3d import track_view
 from trajectory_calibration.outputs.screen import reference_words

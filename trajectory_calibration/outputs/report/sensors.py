@@ -12,7 +12,7 @@ import numpy as np
 from trajectory_calibration.assessment.observability import UNOBSERVED
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.figures import ellipse, Scene
-from trajectory_calibration.outputs.report.text import figure
+from trajectory_calibration.outputs.report.page import figure
 
 _WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
 # Length of the axes of a sensor, in the picture.
