@@ -103,7 +103,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str
 
 def _places(results: Sequence[CalibrationResult]) -> FloatArray:
     """Return where each recording stands from 0 to 1: by date, or evenly where dates are equal."""
-    dates = np.array([float(item.start_ns or 0) for item in results])
+    dates = np.array([item.start_ns or 0 for item in results])
     even = np.linspace(0, 1, len(results))
     span = dates[-1] - dates[0]
     # Recordings of one day beside one of another year would be a single blot.

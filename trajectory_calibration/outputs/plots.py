@@ -99,7 +99,7 @@ def _deviations(result: CalibrationResult) -> Figure:
         weak, unobserved = part[0].weak_limit, part[0].unobserved_limit
         for k, row in enumerate(part):
             std = row.std if row.is_known and row.std is not None else unobserved
-            std = float(np.clip(std, weak / 90, unobserved * 3))
+            std = np.clip(std, weak / 90, unobserved * 3)
             axes.barh(2 - k, std, color=_STATUS[row.word], height=0.5)
             words = f' {row.value:.3f} {row.unit}, {row.word}' if row.is_known else ' unknown'
             axes.text(std, 2 - k, words, va='center', fontsize=8)

@@ -263,7 +263,7 @@ def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
     for name, distance in zip(names[1:], apart, strict=True):
         if not np.isfinite(distance).any():
             continue
-        plot = Plot((0.0, float(seconds[-1])), (0.0, limits(distance, include=[0.0])[1]),
+        plot = Plot((0.0, seconds[-1]), (0.0, limits(distance, include=[0.0])[1]),
                     name=f'{name} from {names[0]}', x_label='s', y_label='m')
         plot.line(seconds[at], distance, 'line-b')
         found.append(figure(

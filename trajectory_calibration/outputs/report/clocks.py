@@ -45,7 +45,7 @@ def compare_clocks(a: Trajectory, b: Trajectory) -> Clocks:
     """Compare two trajectories whose stamps are in one clock."""
     start = int(min(a.stamps_ns[0], b.stamps_ns[0]))
     end = int(max(a.stamps_ns[-1], b.stamps_ns[-1]))
-    usual_s = float(max(a.usual_step_ns, b.usual_step_ns)) * 1e-9
+    usual_s = max(a.usual_step_ns, b.usual_step_ns) * 1e-9
     window_s = max(_WINDOW_S, 2 * usual_s)
     seconds = _busiest(a, b, start)
     return Clocks(
@@ -76,7 +76,7 @@ def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
         angle = np.where(_gaps(trajectory), 0.0, np.linalg.norm(trajectory.turns, axis=1))
         total = np.concatenate([[0.0], np.cumsum(angle)])
         turned.append(np.interp(begins + length, times, total) - np.interp(begins, times, total))
-    begin = float(begins[np.argmax(np.minimum(*turned))])
+    begin = begins[np.argmax(np.minimum(*turned))]
     return np.linspace(begin, begin + length, _POINTS)
 
 

@@ -116,19 +116,19 @@ class ReportData:
             return None
         std = np.sqrt(np.maximum(np.einsum('ki,ij,kj->k', axes, P[:3, :3], axes), 0.0))
         least = np.min(std * self.result.observability.translation_gain)
-        return float(np.rad2deg(least / max(self.result.config.weak_translation, 1e-9)))
+        return np.rad2deg(least / max(self.result.config.weak_translation, 1e-9))
 
     @property
     def driven(self) -> str:
         """Return how far sensor a went, and how long that took."""
-        return f'{metres(float(self.tracks.path_m[-1]))} in {self.tracks.seconds[-1]:.0f} s'
+        return f'{metres(self.tracks.path_m[-1])} in {self.tracks.seconds[-1]:.0f} s'
 
     def of_parts(self, k: int) -> PartAnswers:
         """Return what the parts say of the k-th of the six numbers."""
         parts, limits = self.parts, self.rows[k]
         values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
         std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
-        own = 0.0 if self.result.std is None else float(TO_DEGREES[k] * self.result.std[k])
+        own = 0.0 if self.result.std is None else TO_DEGREES[k] * self.result.std[k]
         is_open = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
         known = np.isfinite(std) & (std < limits.unobserved_limit) & (not is_open)
         # Beyond chance, and beyond what anybody would call a difference.
@@ -201,19 +201,19 @@ def _path_scale(tracks: Tracks) -> PathScale:
     if len(i) < 5 * _SCALE_PARTS:
         return empty
     of_a, of_c = (motions[:, :3, 3] for motions in tracks.motions(i, j)[:2])
-    overlap = max(1.0, float(np.mean(j - i)) / max(1, int(np.median(np.diff(i)))))
+    overlap = max(1.0, np.mean(j - i) / max(1, int(np.median(np.diff(i)))))
     found = []
     for low, high in itertools.pairwise(np.linspace(0, tracks.seconds[-1], _SCALE_PARTS + 1)):
         part = (tracks.seconds[i] >= low) & (tracks.seconds[i] <= high)
-        square = float(np.sum(of_c[part] ** 2))
+        square = np.sum(of_c[part] ** 2)
         if part.sum() < 5 or square <= 1e-9:
             continue
-        ratio = float(np.sum(of_a[part] * of_c[part])) / square
+        ratio = np.sum(of_a[part] * of_c[part]) / square
         left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
         found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
     if not found:
         return empty
     found_s, ratio, std = np.array(found).T
     # Where a sensor hardly moves, its scale means nothing.
-    known = std <= max(_VAGUE * float(np.median(std)), 1e-4)
+    known = std <= max(_VAGUE * np.median(std), 1e-4)
     return PathScale(found_s[known], ratio[known], std[known]) if known.sum() > 1 else empty

@@ -34,8 +34,8 @@ def angle_over_time(data: ReportData) -> Plot:
 
 def _apart_over_time(data: ReportData, apart: FloatArray, name: str, unit: str) -> Plot:
     seconds, jumps = data.tracks.seconds, data.tracks.largest_jumps()
-    high = max(float(apart.max()), 1e-6) * 1.08
-    plot = Plot((0.0, float(seconds[-1])), (0.0, high), name=name, x_label='time, s', y_label=unit)
+    high = max(apart.max(), 1e-6) * 1.08
+    plot = Plot((0.0, seconds[-1]), (0.0, high), name=name, x_label='time, s', y_label=unit)
     plot.line(seconds, apart, 'line-a')
     plot.dots(seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
     return plot
@@ -45,8 +45,8 @@ def distance_over_path(data: ReportData) -> Plot:
     """Draw the distance between the tracks against the distance driven."""
     path, apart = data.tracks.path_m, data.tracks.distance_m
     unit, name = (1e-3, 'km') if path[-1] > 3000 else (1.0, 'm')
-    plot = Plot((0.0, max(float(path[-1]) * unit, 1e-6)),
-                (0.0, max(float(apart.max()), 1e-6) * 1.08), name='distance over the path',
+    plot = Plot((0.0, max(path[-1] * unit, 1e-6)),
+                (0.0, max(apart.max(), 1e-6) * 1.08), name='distance over the path',
                 x_label=f'driven, {name}', y_label='m')
     plot.line(path * unit, apart, 'line-a')
     return plot
@@ -56,8 +56,8 @@ def rotation_by_axis(data: ReportData) -> Plot:
     """Draw the rotation of a motion about each axis, with what is needed."""
     found, need = np.array(data.result.observability.excitation_deg), data.need_deg
     values = found if need is None else np.append(found, need)
-    low = 10.0 ** np.floor(np.log10(max(float(values[values > 0].min(initial=1.0)) / 1.5, 1e-4)))
-    high = max(float(values.max()) * 1.7, 10 * low)
+    low = 10.0 ** np.floor(np.log10(max(values[values > 0].min(initial=1.0) / 1.5, 1e-4)))
+    high = max(values.max() * 1.7, 10 * low)
     plot = Plot((-0.6, 2.6), (low, high), name='rotation by axis', log_y=True,
                 y_label='deg per motion, rms', x_ticks=[
                     (k, f'about {name}: {value:.3g}')
@@ -76,9 +76,9 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> Plot:
     part = slice(3, 6) if rotation else slice(0, 3)
     values, limit = data.parts.growth_std[:, part], data.rows[part.start].weak_limit
     shown = values[np.isfinite(values) & (values > 0)]
-    low = max(min(float(shown.min(initial=limit)), limit) / 1.6, 1e-5)
-    high = max(float(shown.max(initial=limit)), limit) * 1.6
-    plot = Plot((0.0, float(data.tracks.seconds[-1])), (low, high), log_y=True,
+    low = max(min(shown.min(initial=limit), limit) / 1.6, 1e-5)
+    high = max(shown.max(initial=limit), limit) * 1.6
+    plot = Plot((0.0, data.tracks.seconds[-1]), (low, high), log_y=True,
                 name='standard deviation against driving time', x_label='driven, s',
                 y_label=f'{unit_of(part.start)}, standard deviation')
     if low < limit < high:
@@ -94,7 +94,7 @@ def part_plot(data: ReportData, k: int) -> Plot:
     found, row = data.of_parts(k), data.rows[k]
     # One wild part must not flatten the others.
     reach = max(2.2 * found.own, 1e-3, *(np.abs(found.values) + 2 * found.std)[found.known])
-    reach = float(min(reach, max(8 * found.own, 3 * row.weak_limit)))
+    reach = min(reach, max(8 * found.own, 3 * row.weak_limit))
     # A free place parts the quarters from the time scales.
     places = [n + (n >= found.quarters) for n in range(len(found.names))]
     x = (-0.6, (places or [1])[-1] + 0.6)
@@ -118,9 +118,9 @@ def residual_over_time(data: ReportData, k: int) -> Plot:
     """Draw the residuals of one number with three standard deviations of the noise."""
     found = data.residuals
     values, sigma = found.values[:, k], found.sigma[:, k]
-    size = float(np.quantile(np.abs(found.of_used()[0][:, k]), _MOST))
-    reach = max(size * 1.15, 3.3 * float(np.median(sigma)), 1e-9)
-    plot = Plot((0.0, float(found.seconds[-1])), (-reach, reach), height=150,
+    size = np.quantile(np.abs(found.of_used()[0][:, k]), _MOST)
+    reach = max(size * 1.15, 3.3 * np.median(sigma), 1e-9)
+    plot = Plot((0.0, found.seconds[-1]), (-reach, reach), height=150,
                 name=f'residual {AXES[k]} over time', x_label='time, s',
                 y_label=f'{AXES[k]}, {unit_of(k)}')
     plot.band(found.seconds, -3 * sigma, 3 * sigma, 'band-noise')
@@ -136,7 +136,7 @@ def histogram(data: ReportData) -> Plot:
     z = np.clip(data.residuals.of_used()[1], -5, 5)
     shares = [np.histogram(part, 40, (-5, 5), density=True)[0] for part in (z[:, :3], z[:, 3:])]
     edges = np.linspace(-5, 5, 41)
-    peak = max(0.45, 1.1 * float(np.max(shares)))
+    peak = max(0.45, 1.1 * np.max(shares))
     plot = Plot((-5, 5), (0.0, min(peak, 2.0)), name='histogram of normalised residuals',
                 x_label='residual / expected standard deviation', y_label='share')
     grid = np.linspace(-5, 5, 101)
@@ -153,7 +153,7 @@ def box_by_scale(data: ReportData, kind: int) -> Plot:
         return Plot((0, 1), (0, 1), name='no time scale', x_ticks=[], y_ticks=[])
     values = found.by_scale[:, kind]
     shown = np.concatenate([values[values > 0], found.expected[:, kind]])
-    low, high = max(float(shown.min()) / 1.5, 1e-6), max(float(shown.max()) * 1.5, 1e-5)
+    low, high = max(shown.min() / 1.5, 1e-6), max(shown.max() * 1.5, 1e-5)
     names = [(k, label(value)) for k, value in enumerate(found.scales_s)]
     plot = Plot((-0.6, len(names) - 0.4), (low, high), log_y=True, x_ticks=names,
                 name='size of the residuals by time scale', x_label='length of the motions, s',
@@ -169,7 +169,7 @@ def box_by_scale(data: ReportData, kind: int) -> Plot:
 def rates(clocks: Clocks) -> Plot:
     """Draw the angular rates of both over each other."""
     _, high = limits(clocks.rate_a, clocks.rate_b, include=(0.0,))
-    plot = Plot((float(clocks.seconds[0]), float(clocks.seconds[-1])), (0.0, high),
+    plot = Plot((clocks.seconds[0], clocks.seconds[-1]), (0.0, high),
                 name='angular rates', x_label='time, s', y_label='deg/s')
     plot.line(clocks.seconds, clocks.rate_b, 'line-b wide')
     plot.line(clocks.seconds, clocks.rate_a, 'line-a')
@@ -178,8 +178,8 @@ def rates(clocks: Clocks) -> Plot:
 
 def offset_curve(clocks: Clocks) -> Plot:
     """Draw how well the rotations agree at other clock offsets."""
-    low = max(-0.2, float(clocks.correlation.min()) - 0.05)
-    plot = Plot((float(clocks.offsets_s[0]), float(clocks.offsets_s[-1])), (low, 1.03),
+    low = max(-0.2, clocks.correlation.min() - 0.05)
+    plot = Plot((clocks.offsets_s[0], clocks.offsets_s[-1]), (low, 1.03),
                 name='agreement of the rotations by clock offset',
                 x_label='further clock offset, s', y_label='correlation')
     plot.vertical(0.0, 'need', 'used')
@@ -203,11 +203,11 @@ def scale_over_path(scale: PathScale) -> Plot:
     """Draw the ratio of the lengths of both over the drive."""
     low, high = limits(scale.ratio - 2 * scale.std, scale.ratio + 2 * scale.std,
                        include=(0.999, 1.001))
-    plot = Plot((0.0, float(scale.seconds[-1] * 1.07)), (low, high), name='scale over the drive',
+    plot = Plot((0.0, scale.seconds[-1] * 1.07), (low, high), name='scale over the drive',
                 x_label='time, s', y_label='scale of b, relative to the answer')
     plot.horizontal(1.0, 'zero')
     for x, y, std in zip(scale.seconds, scale.ratio, scale.std, strict=True):
-        plot.error_bar(float(x), float(y), float(std), 'near')
+        plot.error_bar(x, y, std, 'near')
     return plot
 
 

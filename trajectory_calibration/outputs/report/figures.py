@@ -63,7 +63,7 @@ def limits(*arrays: ArrayLike, include: Sequence[float] = (), pad: float = 0.06)
     values = values[np.isfinite(values)]
     if not len(values):
         return 0.0, 1.0
-    low, high = float(values.min()), float(values.max())
+    low, high = values.min(), values.max()
     room = pad * (high - low) or max(abs(low), 1e-3) * 0.5
     return low - room, high + room
 
@@ -134,7 +134,7 @@ class Scene(Canvas):
         low, high = points.min(axis=0), points.max(axis=0)
         room = np.array([width - 2 * margin, height - 2 * margin])
         return cls(name, width, height, 0.5 * (low + high),
-                   float(np.min(room / np.maximum(high - low, 1e-9))))
+                   np.min(room / np.maximum(high - low, 1e-9)))
 
     def place(self, points: ArrayLike) -> FloatArray:
         """Return where (N, 2) points, or one, stand in the picture."""
@@ -151,19 +151,13 @@ class Scene(Canvas):
         x, y = self.place(point)
         self.circle(x, y, radius, style, css)
 
-    def axes(self, origin: FloatArray, axes: FloatArray, arm: float, *, lettered: bool = False,
-             ) -> None:
+    def axes(self, origin: FloatArray, axes: FloatArray, arm: float) -> None:
         """Draw the three axes of a sensor, (2, 3) each; one towards the reader is left out."""
         start = self.place(origin)
         for k, letter in enumerate('xyz'):
             end = self.place(origin + arm * axes[:, k])
-            length = float(np.linalg.norm(end - start))
-            if length <= _SHORTEST_AXIS:
-                continue
-            self.path(np.stack([start, end]), f'axis-{letter}')
-            if lettered:
-                x, y = start + (end - start) * (1 + 9 / length)
-                self.text(x, y + 3, letter, 'middle', 'note mini')
+            if np.linalg.norm(end - start) > _SHORTEST_AXIS:
+                self.path(np.stack([start, end]), f'axis-{letter}')
 
     def legend(self, across: str, up: str) -> None:
         """Write which axis points where, and draw a scale bar."""
@@ -172,7 +166,7 @@ class Scene(Canvas):
 
     def scale_bar(self) -> None:
         """Draw a bar of a round length, and write how long it is."""
-        length = float(ticks(0.0, 0.3 * self.width / self.pixels, 2)[-1])
+        length = ticks(0.0, 0.3 * self.width / self.pixels, 2)[-1]
         words = f'{length:g} m' if length >= 0.1 else f'{1e3 * length:g} mm'
         x, y = 10, self.height - 8
         self.add('path', 'axis', d=f'M{x} {y - 5}v5h{length * self.pixels:.1f}v-5')
@@ -309,7 +303,7 @@ class Plot:
 
 
 def _labelled(values: FloatArray) -> list[tuple[float, str]]:
-    return [(float(value), label(value)) for value in values]
+    return [(value, label(value)) for value in values]
 
 
 def _title(words: str) -> str:
@@ -328,7 +322,7 @@ def _path(points: FloatArray) -> str:
         if not (np.isfinite(px) and np.isfinite(py)):
             pen = False
             continue
-        at = round(10 * float(px)), round(10 * float(py))
+        at = round(10 * px), round(10 * py)
         if pen:
             step = _tenths(at[0] - before[0]), _tenths(at[1] - before[1])
             words.append('l' + step[0] + ('' if step[1].startswith('-') else ' ') + step[1])

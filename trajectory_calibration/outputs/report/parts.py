@@ -105,7 +105,7 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
 
 def lag_of(tracks: Tracks, seconds: float) -> int:
     """Return how many pairs are about so many seconds, at least one."""
-    return max(1, round(seconds / float(np.median(np.diff(tracks.seconds)))))
+    return max(1, round(seconds / np.median(np.diff(tracks.seconds))))
 
 
 def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
@@ -125,7 +125,7 @@ def lagged(tracks: Tracks, lag: int, count: int) -> tuple[NDArray[np.intp], NDAr
     broken[tracks.gaps] = True
     bad = np.concatenate([[0], np.cumsum(broken)])
     took = tracks.seconds[lag:] - tracks.seconds[:-lag]
-    usual = lag * float(np.median(np.diff(tracks.seconds)))
+    usual = lag * np.median(np.diff(tracks.seconds))
     i = np.flatnonzero((bad[:-lag] == bad[lag:]) & (took <= _LONGEST * usual))
     i = i[::max(1, -(-len(i) // count))]
     return i, i + lag
@@ -153,7 +153,7 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
     of_a, of_c = _jacobian(T_a_b, A, A), _jacobian(T_a_b, A, C)
     weighted = np.linalg.solve(sigma, np.concatenate([of_a, of_c, residual[:, :, None]], axis=2))
     chi = np.sqrt(np.einsum('ki,ki->k', residual, weighted[:, :, 12]))
-    keep = chi <= _OUTLIER * max(float(np.median(chi)), 1e-12)
+    keep = chi <= _OUTLIER * max(np.median(chi), 1e-12)
     mean = 0.5 * (of_a + of_c)
     score = -np.einsum('kji,kj->ki', mean, weighted[:, :, 12])
     information = np.swapaxes(of_c, 1, 2) @ weighted[:, :, :6]

@@ -29,8 +29,8 @@ def sections(data: ReportData) -> str:
 
 def _tracks(data: ReportData) -> str:
     tracks, result = data.tracks, data.result
-    usual, largest = metres(float(np.median(tracks.distance_m))), metres(tracks.distance_m.max())
-    path = float(tracks.path_m[-1])
+    usual, largest = metres(np.median(tracks.distance_m)), metres(tracks.distance_m.max())
+    path = tracks.path_m[-1]
     share = (f' ({100 * tracks.distance_m.max() / path:.2g} % of {metres(path)} driven)'
              if path > 0 else '')
     dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'

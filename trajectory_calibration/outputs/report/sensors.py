@@ -63,7 +63,7 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
                       0.5 * (low + high)[axes], pixels)
         scene.legend(*('xyz'[axis] for axis in axes))
         regions = [ellipse(item[np.ix_(axes, axes)]) for item in P]
-        size = float(np.abs(regions).max()) * pixels
+        size = np.abs(regions).max() * pixels
         # How much they must grow to be seen; those of no size never are.
         larger = next((factor for factor in _FACTORS if size * factor >= _VISIBLE), 1)
         if larger > 1:

@@ -149,7 +149,7 @@ def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float
         return poses_b
     seconds = (stamps_ns - stamps_ns[0]) * 1e-9
     # As far as neighbours tell a velocity: a jump in a gap is none.
-    near = np.diff(seconds) <= _NEAR * float(np.median(np.diff(seconds)))
+    near = np.diff(seconds) <= _NEAR * np.median(np.diff(seconds))
     known = np.concatenate([[True], near]) & np.concatenate([near, [True]])
     moved = poses_b.copy()
     moved[:, :3, 3] += latency_s * known[:, None] * np.gradient(poses_b[:, :3, 3], seconds, axis=0)
@@ -168,8 +168,8 @@ def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
     by_position = (p_a - mean_a).T @ (p_c - mean_c) / len(p_a)
     R = se3.nearest_rotation(by_rotation)
     # Each counts by how well it agrees.
-    turn = float(np.mean(se3.rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_c) ** 2))
-    shift = float(np.mean(np.sum((p_a - mean_a - (p_c - mean_c) @ R.T) ** 2, axis=1)))
+    turn = np.mean(se3.rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_c) ** 2)
+    shift = np.mean(np.sum((p_a - mean_a - (p_c - mean_c) @ R.T) ** 2, axis=1))
     R = se3.nearest_rotation(by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
     return se3.from_rotation_translation(R, mean_a - R @ mean_c)
 
@@ -187,5 +187,5 @@ def _jumps(
     found = np.zeros(len(parted), dtype=bool)
     for part in (parted[:, :3], parted[:, 3:]):
         size = np.linalg.norm(part, axis=1)
-        found |= size > max(_JUMP * float(np.median(size)), 1e-9)
+        found |= size > max(_JUMP * np.median(size), 1e-9)
     return np.union1d(np.where(nearer, before, after), np.flatnonzero(found) + 1)

@@ -30,7 +30,7 @@ def track_view(tracks: Tracks) -> str:
     keep = np.union1d(evenly(len(a), _POSES), ends)
     both = np.concatenate([a[keep], c[keep]])
     low, high = both.min(axis=0), both.max(axis=0)
-    middle, size = 0.5 * (low + high), max(float((high - low).max()), 1e-6)
+    middle, size = 0.5 * (low + high), max((high - low).max(), 1e-6)
 
     def gridded(points: FloatArray) -> list[int]:
         scaled = np.round((points - middle) / size * _GRID).astype(int)
