@@ -45,28 +45,21 @@ class Exporter:
     Attributes
     ----------
     sentence : what it holds and which way it points.
-    extension : of a file that holds it, without the dot.
+    file_name : in a folder of exports.
     contents : function of a ``Placement`` that returns what is written.
-    stem : of the file's name in a folder of exports.
     is_binary : whether it cannot be printed.
 
     """
 
     sentence: str
-    extension: str
+    file_name: str
     contents: Callable[[Placement], str | bytes]
-    stem: str = 'extrinsic'
     is_binary: bool = False
-
-    @property
-    def file_name(self) -> str:
-        """Return the name of a file among those of the other formats."""
-        return f'{self.stem}.{self.extension}'
 
     def write(self, item: Placement) -> str:
         """Return the text; raises ConfigError for a binary format, and as ``encode``."""
         if self.is_binary:
-            raise ConfigError(f'{self.extension} is binary; give a file with --output')
+            raise ConfigError(f'{self.file_name} is binary; give a file with --output')
         return self.encode(item).decode()
 
     def encode(self, item: Placement) -> bytes:
@@ -174,10 +167,6 @@ def _rows(matrix: FloatArray, separator: str, start: str = '', end: str = '') ->
     return ''.join(f'{start}{separator.join(map(number, row))}{end}\n' for row in matrix)
 
 
-def _matrix(item: Placement) -> str:
-    return _comments(item) + _rows(item.T_parent_child, ' ')
-
-
 def _npy(item: Placement) -> bytes:
     stream = io.BytesIO()
     np.save(stream, item.T_parent_child)
@@ -241,32 +230,34 @@ def _kalibr(item: Placement) -> str:
 EXPORTS: dict[str, Exporter] = {
     'urdf': Exporter(
         'fixed joint from the parent link to the child link; its origin is the pose of the child '
-        'in the parent', 'urdf', _urdf),
+        'in the parent', 'extrinsic.urdf', _urdf),
     'xacro': Exporter(
         'the joint of urdf as a macro; its origin is the pose of the child in the parent',
-        'xacro', _xacro),
+        'extrinsic.xacro', _xacro),
     'static-tf': Exporter(
         'command that publishes the pose of the child (--child-frame-id) in the parent '
-        '(--frame-id)', 'sh', _static_tf, stem='static_transform'),
+        '(--frame-id)', 'static_transform.sh', _static_tf),
     'launch': Exporter(
-        'launch file that publishes the pose of the child in the parent', 'launch.py',
-        lambda item: _launch_file([item]), stem='static_transform'),
+        'launch file that publishes the pose of the child in the parent',
+        'static_transform.launch.py', lambda item: _launch_file([item])),
     'matrix': Exporter(
-        '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'txt',
-        _matrix, stem='matrix'),
+        '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'matrix.txt',
+        lambda item: _comments(item) + _rows(item.T_parent_child, ' ')),
     'npy': Exporter(
-        '4 x 4 NumPy array, the pose of the child in the parent', 'npy', _npy, stem='matrix',
+        '4 x 4 NumPy array, the pose of the child in the parent', 'matrix.npy', _npy,
         is_binary=True),
-    'json': Exporter('the pose of the child in the parent with its covariance', 'json', _json),
-    'yaml': Exporter('the pose of the child in the parent, for YAML 1.1 and 1.2', 'yaml', _yaml),
-    'tum': Exporter('one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'tum',
-                    _tum),
+    'json': Exporter(
+        'the pose of the child in the parent with its covariance', 'extrinsic.json', _json),
+    'yaml': Exporter(
+        'the pose of the child in the parent, for YAML 1.1 and 1.2', 'extrinsic.yaml', _yaml),
+    'tum': Exporter(
+        'one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'extrinsic.tum', _tum),
     'autoware': Exporter(
-        'the pose of the child under its parent, as in sensor_kit_calibration.yaml', 'yaml',
-        lambda item: _sensor_kit([item]), stem='sensor_kit_calibration'),
+        'the pose of the child under its parent, as in sensor_kit_calibration.yaml',
+        'sensor_kit_calibration.yaml', lambda item: _sensor_kit([item])),
     'kalibr': Exporter(
         'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '
-        'inverse of the pose of the child in the parent', 'yaml', _kalibr, stem='camchain'),
+        'inverse of the pose of the child in the parent', 'camchain.yaml', _kalibr),
 }
 
 

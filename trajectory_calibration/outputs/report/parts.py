@@ -21,7 +21,7 @@ from trajectory_calibration.assessment.observability import Observability, UNOBS
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import TO_DEGREES
-from trajectory_calibration.outputs.report.tracks import Tracks
+from trajectory_calibration.outputs.report.tracks import Indices, Tracks
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNKNOWN
 
@@ -67,7 +67,7 @@ class Parts:
 class _Scores:
     """Motions of one time scale, linearised: (M, 6) scores and (M, 6, 6) information."""
 
-    start: NDArray[np.intp]
+    start: Indices
     score: FloatArray
     information: FloatArray
     overlap: int
@@ -116,7 +116,7 @@ def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
     return [(seconds, lag) for lag, seconds in by_lag.items()]
 
 
-def lagged(tracks: Tracks, lag: int, count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def lagged(tracks: Tracks, lag: int, count: int) -> tuple[Indices, Indices]:
     """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap.
 
     They last about as long as ``lag`` usual steps.

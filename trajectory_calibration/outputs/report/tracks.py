@@ -28,6 +28,8 @@ MOST_JUMPS = 80
 # Poses farther apart than this many usual steps tell no velocity.
 _NEAR = 3.0
 
+Indices = NDArray[np.intp]
+
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
@@ -46,15 +48,15 @@ class Tracks:
     path_m: FloatArray
     distance_m: FloatArray
     angle_deg: FloatArray
-    jumps: NDArray[np.intp]
+    jumps: Indices
     usable: NDArray[np.bool_]
-    gaps: NDArray[np.intp]
+    gaps: Indices
     noise: PairNoise
 
     def __len__(self) -> int:
         return len(self.seconds)
 
-    def largest_jumps(self) -> NDArray[np.intp]:
+    def largest_jumps(self) -> Indices:
         """Return the indices of ``MOST_JUMPS``, those in which the tracks part most."""
         apart = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(
             self.poses_c[:, :3, 3], axis=0)
@@ -62,14 +64,14 @@ class Tracks:
         return np.sort(self.jumps[np.argsort(-size, kind='stable')[:MOST_JUMPS]])
 
     def motions(
-        self, i: NDArray[np.intp], j: NDArray[np.intp],
+        self, i: Indices, j: Indices,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the (M, 4, 4) motions of both from poses i to j, and (M, 6) ``log(A^-1 C)``."""
         A, C = (se3.inverse(poses[i]) @ poses[j] for poses in (self.pairs.poses_a, self.poses_c))
         return A, C, se3.log_se3(se3.inverse(A) @ C)
 
     def covariance(
-        self, T_a_b: FloatArray, A: FloatArray, i: NDArray[np.intp], j: NDArray[np.intp],
+        self, T_a_b: FloatArray, A: FloatArray, i: Indices, j: Indices,
     ) -> FloatArray:
         """Return (M, 6, 6), what noise does to ``log(A^-1 C)`` of the motions A from i to j.
 
@@ -119,7 +121,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
         noise=identify_noise(pairs.stamps_ns, pairs.poses_a, poses_c, usable))
 
 
-def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> NDArray[np.intp]:
+def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
     """Return the indices of the pairs after which one of the sensors has a gap."""
     middles = []
     for trajectory in trajectories:
@@ -176,7 +178,7 @@ def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
 
 def _jumps(
     named: Sequence[dict[str, Any]], pairs: PosePairs, poses_c: FloatArray,
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the indices of the poses after a jump: named by the solver, or large."""
     stamps = np.array([jump['stamp_ns'] for jump in named], dtype=np.int64)
     after = np.clip(np.searchsorted(pairs.stamps_ns, stamps), 1, len(pairs) - 1)
