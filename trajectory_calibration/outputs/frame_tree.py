@@ -156,7 +156,7 @@ def _origin(item: ET.Element, path: Path) -> FloatArray:
     for name in ('xyz', 'rpy'):
         text = item.get(name, '0 0 0')
         found = numbers_of(text)
-        if found.shape != (3,) or not np.isfinite(found).all() or ',' in text:
+        if found.shape != (3,) or not np.isfinite(found).all() or set(',[]') & set(text):
             raise SourceError(f'{path}: {name}="{text}", needed 3 numbers; a xacro must be '
                               'expanded first (xacro FILE > robot.urdf)')
         values.append(found)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
+from trajectory_calibration.time_alignment.rotation_increments import largest_gain, longest_step_ns
 
 # Seconds of the part that is drawn, and points in it.
 _PART_S, _POINTS = 30.0, 300
@@ -111,9 +111,7 @@ def _correlate(a: Trajectory, b: Trajectory, usual_s: float) -> tuple[FloatArray
         part_b = turn_b[max(0, -shift):len(turn_b) - max(0, shift)]
         covariance[k] = part_a.T @ part_b
         energy[k] = np.sqrt(np.sum(part_a**2) * np.sum(part_b**2))
-    singular = np.linalg.svd(covariance, compute_uv=False)
-    gain = singular.sum(axis=1) - 2 * singular[:, 2] * (np.linalg.det(covariance) < 0)
-    correlation: FloatArray = gain / np.maximum(energy, 1e-300)
+    correlation = largest_gain(covariance) / np.maximum(energy, 1e-300)
     return np.arange(-lags, lags + 1, dtype=np.float64) * cell, correlation
 
 

@@ -217,9 +217,8 @@ def _growth(
     ends = np.unique(np.linspace(len(running) / _CURVE, len(running), _CURVE).astype(np.intp)) - 1
     ends = ends[ends >= 0]
     std = np.array([np.sqrt(np.diagonal(_bounded_inverse(running[end], held))) for end in ends])
-    if result.covariance is not None:
-        stated = np.sqrt(np.maximum(np.diagonal(result.covariance), 0.0))
-        std *= stated / np.maximum(std[-1], 1e-300)
+    if result.std is not None:
+        std *= result.std / np.maximum(std[-1], 1e-300)
     std = np.minimum(std, UNKNOWN)
     unknown = [status == UNOBSERVED for status in result.observability.status.values()]
     std[:, unknown] = np.nan
