@@ -30,6 +30,7 @@ from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.screen import deviation_words
 
 if TYPE_CHECKING:
+    from trajectory_calibration.result import CalibrationResult
     from trajectory_calibration.rig.result import RigResult
 
 
@@ -56,17 +57,18 @@ class Exporter:
     contents: Callable[[Placement], str | bytes]
     is_binary: bool = False
 
-    def write(self, item: Placement) -> str:
+    def write(self, item: CalibrationResult | Placement) -> str:
         """Return the text; raises ConfigError for a binary format, and as ``encode``."""
         if self.is_binary:
             raise ConfigError(f'{self.file_name} is binary; give a file with --output')
         return self.encode(item).decode()
 
-    def encode(self, item: Placement) -> bytes:
+    def encode(self, item: CalibrationResult | Placement) -> bytes:
         """Return the contents of a file.
 
         Raises ConfigError for two frames of one name, or a name that the format cannot hold.
         """
+        item = item if isinstance(item, Placement) else Placement.of(item)
         contents = self.contents(item.require_two_frames())
         return contents if isinstance(contents, bytes) else contents.encode()
 
