@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.fleet.comparison import Comparison, Entry, row
 from trajectory_calibration.outputs.answer import answer_rows, NAMES, TO_DEGREES
 from trajectory_calibration.rig.comparison import Change, RigComparison
-from trajectory_calibration.rig.result import COMPONENTS
 
 _UNITS = {'z': ' [m]', 'yaw': ' [deg]'}
 _HEAD = ('', 'date', *(f'{name}{_UNITS.get(name, "")}' for name in NAMES), 'findings')
@@ -80,7 +80,7 @@ def rig_to_text(found: RigComparison) -> str:
         (t, R), (s_t, s_R) = (
             np.sqrt(np.nansum(np.reshape(TO_DEGREES * values, (2, 3)) ** 2, axis=1))
             for values in (item.step, item.std))
-        unknown = ', '.join(np.array(COMPONENTS)[np.isnan(item.std)])
+        unknown = ', '.join(np.array(DEGREES_OF_FREEDOM)[np.isnan(item.std)])
         lines.append(f'  {item.sensor:<14}{f"{1e3 * t:.1f} +- {1e3 * s_t:.1f}":>18}'
                      f'{f"{R:.3f} +- {s_R:.3f}":>18}'
                      f'{f"{item.chi_squared:.1f} of {item.degrees}":>16}  '

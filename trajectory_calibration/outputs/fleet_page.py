@@ -51,9 +51,9 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
     rows = table(head, map(_row, comparison.entries), 'numbers')
     recordings = section(
         2, 'Recordings', f'<div class="card">{rows}</div>',
-        f'Chi-squared of all about one mean: {comparison.chi_squared:.1f} at '
-        f'{comparison.degrees_of_freedom} degrees of freedom. What the words of the findings '
-        'mean: docs/findings.md.')
+        f'Chi-squared about one mean of all: {comparison.chi_squared:,.1f} of '
+        f'{comparison.degrees_of_freedom} degrees of freedom. docs/findings.md explains the '
+        'findings.')
     return page(title, box + charts + recordings, scripts=())
 
 

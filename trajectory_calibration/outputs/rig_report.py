@@ -28,7 +28,6 @@ from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import clock_text, scale_text, sensor_rows
-from trajectory_calibration.rig.observed import limits_of
 from trajectory_calibration.rig.result import PairReport, RigResult
 from trajectory_calibration.rig.windows import common_grid, Grid, track_of
 
@@ -213,13 +212,9 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:
     names = [name for name in rig.trees[rig.base] if name in trajectories]
     if len(names) < 2:
         return '<p>The tracks were not given.</p>'
-    carried = []
-    for name in names:
-        sensor, trajectory = rig.sensors[name], trajectories[name]
-        carried.append(Track(
-            sensor.clock.apply(trajectory.stamps_ns),
-            trajectory.scaled(sensor.scale).poses @ se3.inverse(sensor.T_base_sensor)))
-    grid = common_grid(carried, _MAX_GAP_NS)
+    grid = common_grid([
+        track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
+                 rig.sensors[name].T_base_sensor) for name in names], _MAX_GAP_NS)
     laid = _laid(grid)
     return _from_above(rig, names, laid) + _apart(names, laid, grid)
 

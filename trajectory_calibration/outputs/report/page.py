@@ -69,8 +69,10 @@ def metres(value: float) -> str:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital and a full stop."""
-    return text[:1].upper() + text[1:] + ('' if text.endswith('.') else '.')
+    """Return a text with a capital and a full stop; names (sensor_a, a.tum) keep their case."""
+    first, _, rest = text.partition(' ')
+    start = first.capitalize() if first.isalpha() and first.islower() else first
+    return f'{start} {rest}'.rstrip() + ('' if text.endswith('.') else '.')
 
 
 def verdict_section(level: str, title: str, badge: str, inside: str) -> str:
