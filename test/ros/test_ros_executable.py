@@ -77,7 +77,7 @@ def test_the_end_of_the_interpreter_is_not_cut_short_by_more_signals():
 
 def test_nohup_keeps_a_node_whose_terminal_closes():
     code = ('import os, signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n'
-            'from trajectory_calibration.ros.signals import StopSignals; stop = StopSignals()\n'
+            'from trajectory_calibration.ros.executable import StopSignals; stop = StopSignals()\n'
             'os.kill(os.getpid(), signal.SIGHUP); print(stop.received)')
     done = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, timeout=60, check=False)

@@ -1,14 +1,18 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The executable ``calibration_node``: the node, its usage, or what to do where ROS is missing."""
+"""The executable ``calibration_node``: the node, its usage, or what to do where ROS is missing.
+
+Nothing here loads ROS or anything that takes time before the signals are heard.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+import signal
 import sys
 import textwrap
+from types import FrameType
 
-from trajectory_calibration.ros.signals import StopSignals
 from trajectory_calibration.version import __version__
 
 _USAGE = """\
@@ -25,6 +29,36 @@ Estimate the pose of sensor b in sensor a from their two trajectories, while the
 services    ~/calibrate  ~/reset  ~/save        (std_srvs/srv/Trigger)
 publishes   ~/extrinsic  ~/extrinsic_with_covariance  ~/result  /diagnostics, and more
 """
+
+
+class StopSignals:
+    """Turns SIGINT, SIGTERM and SIGHUP, which a terminal that closes sends, into a flag.
+
+    The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
+    that the loop reads ends every run the same way.
+    """
+
+    def __init__(self) -> None:
+        self.received = False
+        self._numbers = [signal.SIGINT, signal.SIGTERM]
+        # nohup has it ignored: the node is to outlive its terminal.
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            self._numbers.append(signal.SIGHUP)
+        for number in self._numbers:
+            signal.signal(number, self._on_signal)
+
+    def ignore(self) -> None:
+        """Ignore the signals from now on: the process ends by itself.
+
+        Python takes its handlers away before it has ended. A second signal then, as an impatient
+        person sends, would be the end of the process and its status.
+        """
+        for number in self._numbers:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        self.received = True
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -12,7 +14,9 @@ from rclpy.utilities import get_default_context
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.node import CalibrationNode, NODE_NAME
-from trajectory_calibration.ros.signals import StopSignals
+
+if TYPE_CHECKING:
+    from trajectory_calibration.ros.executable import StopSignals
 
 # Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
 _HIGHEST_DOMAIN = 232
