@@ -89,7 +89,7 @@ def _run(stop: StopSignals, argv: Sequence[str]) -> int:
             '/opt/ros/jazzy/setup.bash, or on a machine without ROS pip install '
             'ros-jazzy-common-interfaces "ros-jazzy-rclpy[fastrtps]"\n')
         return 2
-    return 0 if stop.received else run(stop)
+    return 0 if stop.received else run(lambda: stop.received)
 
 
 def _usage() -> str:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -14,9 +14,6 @@ from rclpy.utilities import get_default_context
 
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.node import CalibrationNode, NODE_NAME
-
-if TYPE_CHECKING:
-    from trajectory_calibration.ros.executable import StopSignals
 
 # Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
 _HIGHEST_DOMAIN = 232
@@ -32,15 +29,15 @@ def _init() -> None:
         raise ConfigError(f'ROS_DOMAIN_ID is {domain}, needed 0 to {_HIGHEST_DOMAIN}')
 
 
-def main(stop: StopSignals) -> int:
-    """Run the node until a signal, which ``stop`` notes; return the exit status."""
+def main(stopped: Callable[[], bool]) -> int:
+    """Run the node until it is stopped by a signal; return the exit status."""
     node = None
     try:
         _init()
         executor = SingleThreadedExecutor()
         node = CalibrationNode()
         executor.add_node(node)
-        while rclpy.ok() and not stop.received:
+        while rclpy.ok() and not stopped():
             executor.spin_once(timeout_sec=0.2)
         node.take_leave(executor)
         executor.shutdown()
