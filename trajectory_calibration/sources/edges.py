@@ -33,10 +33,10 @@ class Edge:
     parent: str
     child: str
     static: bool = False
-    _changes: int = 0
-    _blocks: list[tuple[NDArray[np.int64], FloatArray]] = field(default_factory=list)
+    _stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    _poses: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
-    _last: FloatArray | None = None
+    _changes: int = 0
 
     def __str__(self) -> str:
         return f'{self.parent} -> {self.child}'
@@ -52,13 +52,12 @@ class Edge:
         usable = np.isfinite(new).all(axis=1)
         with np.errstate(over='ignore', invalid='ignore'):
             usable &= np.abs(np.linalg.norm(new[:, 3:], axis=1) - 1.0) < 1e-2
-        stamps, new = stamps[usable], new[usable]
-        if not len(new):
-            return
-        before = np.concatenate([new[:1] if self._last is None else self._last[None], new[:-1]])
-        self._changes += int(np.count_nonzero((new != before).any(axis=1)))
-        self._last = new[-1]
-        self._blocks.append((stamps, new))
+        self._stamps_ns = np.concatenate([self._stamps_ns, stamps[usable]])
+        poses = np.concatenate([self._poses, new[usable]])
+        since = max(len(self._poses) - 1, 0)
+        self._changes += int(np.count_nonzero(
+            (poses[since + 1:] != poses[since:-1]).any(axis=1)))
+        self._poses = poses
 
     @property
     def samples(self) -> tuple[NDArray[np.int64], FloatArray]:
@@ -67,10 +66,7 @@ class Edge:
             stamps, poses = zip(*self._waiting, strict=True)
             self._waiting = []
             self.extend(stamps, poses)
-        if len(self._blocks) > 1:
-            stamps_ns, numbers = zip(*self._blocks, strict=True)
-            self._blocks = [(np.concatenate(stamps_ns), np.concatenate(numbers))]
-        return self._blocks[0] if self._blocks else (np.zeros(0, np.int64), np.zeros((0, 7)))
+        return self._stamps_ns, self._poses
 
     def count_changes(self) -> int:
         """Return how many transforms differ from the one before."""
@@ -81,9 +77,9 @@ class Edge:
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what no later pose needs."""
         stamps_ns, poses = self.samples
-        if not self.static and len(stamps_ns):
+        if not self.static:
             first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - 1, 0)
-            self._blocks = [(stamps_ns[first:], poses[first:])]
+            self._stamps_ns, self._poses = stamps_ns[first:], poses[first:]
 
     def ordered(self, notes: list[str]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return the samples in the order of their stamps, one a stamp, of one run of time."""

@@ -84,9 +84,29 @@ class TopicTrack:
                 'input-repaired',
                 f'dropped {self.unreadable} of {counted(self.messages, "message")}: unreadable'))
         keep = np.ones(len(self.poses), dtype=bool)
+
+        def drop(bad: NDArray[np.bool_], why: str, code: str = 'poses-lost') -> None:
+            count = int(np.count_nonzero(bad & keep))
+            if count:
+                notes.append(Finding(code, f'dropped {counted(count, "pose")}{why}'))
+            keep[bad] = False
+
         world, sensor = self._keep_one_frame(keep, notes)
-        stamps_ns = self._keep_stamped(keep, notes)
-        self._keep_poses(keep, notes)
+        stamps_ns, missing = self.stamps_ns, self.stamps_ns == 0
+        if keep.any() and missing[keep].all() and self.msgtype != cdr.PATH:
+            notes.append(Finding(
+                'input-repaired',
+                'the headers carry no stamps: the times of reception are used'))
+            stamps_ns = self.received_ns
+        else:
+            drop(missing, ' without a stamp', 'input-repaired')
+        for bad, why in zip(pose_faults(self.poses), (
+                ': not finite', ': quaternion not of unit length',
+                f': more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
+            drop(bad, why)
+        lost = np.zeros(len(keep), dtype=bool)
+        lost[keep] = lost_as_identity(self.poses[keep])
+        drop(lost, ': identity, far from the neighbours (the SLAM was lost?)')
         sensor = sensor_frame or sensor or self.topic.strip('/').replace('/', '_')
         world = world_frame or world or 'map'
         if np.count_nonzero(keep) < 2:
@@ -95,12 +115,12 @@ class TopicTrack:
                 f'{self.topic}: poses in {np.count_nonzero(keep)} of '
                 f'{counted(self.messages, "message")}, needed at least 2{reasons}; record while '
                 'the sensor moves')
+        stamps_ns, poses = stamps_ns[keep], self.poses[keep]
         require_own_stamps(
-            stamps_ns[keep], self.poses[keep], self.topic,
-            'use a topic whose messages carry the time of each pose')
+            stamps_ns, poses, self.topic, 'use a topic whose messages carry the time of each pose')
         try:
             return Trajectory.from_quaternions(
-                stamps_ns[keep], self.poses[keep, :3], self.poses[keep, 3:], world, sensor,
+                stamps_ns, poses[:, :3], poses[:, 3:], world, sensor,
                 tuple(replace(note, text=f'{sensor}: {self.topic}: {note.text}')
                       for note in notes))
         except TrajectoryError as error:
@@ -130,36 +150,6 @@ class TopicTrack:
                 f'{", ".join(dict.fromkeys(slashed))}'))
         keep &= index == most
         return names[most]
-
-    def _keep_stamped(self, keep: NDArray[np.bool_], notes: list[Finding]) -> NDArray[np.int64]:
-        missing = self.stamps_ns == 0
-        count = int(np.count_nonzero(missing & keep))
-        if count and count == np.count_nonzero(keep) and self.msgtype != cdr.PATH:
-            notes.append(Finding(
-                'input-repaired',
-                'the headers carry no stamps: the times of reception are used'))
-            return self.received_ns
-        if count:
-            notes.append(Finding(
-                'input-repaired', f'dropped {counted(count, "pose")} without a stamp'))
-            keep &= ~missing
-        return self.stamps_ns
-
-    def _keep_poses(self, keep: NDArray[np.bool_], notes: list[Finding]) -> None:
-        for bad, what in zip(pose_faults(self.poses), (
-                'not finite', 'quaternion not of unit length',
-                f'more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
-            if (bad & keep).any():
-                count = counted(int(np.count_nonzero(bad & keep)), 'pose')
-                notes.append(Finding('poses-lost', f'dropped {count}: {what}'))
-            keep &= ~bad
-        lost = np.zeros(len(keep), dtype=bool)
-        lost[keep] = lost_as_identity(self.poses[keep])
-        if lost.any():
-            notes.append(Finding(
-                'poses-lost', f'dropped {counted(int(lost.sum()), "pose")}: identity, far '
-                'from the neighbours (the SLAM was lost?)'))
-        keep &= ~lost
 
 
 class TopicCollector:
@@ -228,14 +218,14 @@ class TransformCollector:
     ----------
     count, unreadable : messages that were taken, and how many of them were no transforms.
     received_ns : when the first of them was received.
-    runs : the transforms between two frames, in the order in which they came.
+    runs : the transforms between two frames, their messages counted from the first one.
 
     """
 
     def __init__(self, topic: str) -> None:
         self.count, self.unreadable, self.received_ns = 0, 0, _INT64_MAX
         self.static = topic.endswith('tf_static')
-        self.runs: list[cdr.TransformRun] = []
+        self.runs: dict[cdr.TwoFrames, list[cdr.TransformRun]] = {}
 
     def add(self, batch: Batch) -> None:
         """Take messages in the order in which the recorder got them."""
@@ -243,16 +233,9 @@ class TransformCollector:
         runs, damaged = cdr.parse_transforms(
             batch.messages, ros1=batch.channel.encoding == 'ros1')
         self.unreadable += damaged
-        by_frames: dict[cdr.TwoFrames, list[cdr.TransformRun]] = {}
         for run in runs:
-            by_frames.setdefault(run.frames, []).append(run)
-        for frames, parts in by_frames.items():
-            messages, stamps_ns, poses = (
-                np.concatenate(columns) for columns in zip(*(part[1:] for part in parts),
-                                                           strict=True))
-            order = np.argsort(messages, kind='stable')
-            self.runs.append(
-                cdr.TransformRun(frames, messages[order], stamps_ns[order], poses[order]))
+            self.runs.setdefault(run.frames, []).append(
+                run._replace(messages=run.messages + self.count))
         self.count += len(batch.messages)
 
 
@@ -260,8 +243,12 @@ def transform_tree(collectors: Sequence[TransformCollector]) -> TransformTree:
     """Put the transforms of several topics and files together, in the order of reception."""
     tree = TransformTree()
     for collector in sorted(collectors, key=lambda item: item.received_ns):
-        for run in collector.runs:
-            tree.extend(*run.frames, run.stamps_ns, run.poses, static=collector.static)
+        for frames, runs in collector.runs.items():
+            messages, stamps_ns, poses = (
+                np.concatenate(columns) for columns in zip(*(run[1:] for run in runs),
+                                                           strict=True))
+            order = np.argsort(messages, kind='stable')
+            tree.extend(*frames, stamps_ns[order], poses[order], static=collector.static)
     return tree
 
 
