@@ -228,10 +228,8 @@ class FileSource:
             return raw
         if raw.stamps_ns is not None and raw.numbers is None:
             raise SourceError(f'{self.path} carries its own times; leave {self.times} out')
-        stamps_ns, missing, notes = read_times(Path(self.times), self.time_unit)
-        raw.findings += [Finding('input-repaired', note) for note in notes]
-        poses, count = len(raw.poses), len(stamps_ns)
-        numbers = raw.numbers
+        stamps_ns, missing = read_times(Path(self.times), self.time_unit)
+        poses, count, numbers = len(raw.poses), len(stamps_ns), raw.numbers
         if numbers is not None and poses != count and numbers[0] >= 0 and numbers[-1] < count:
             raw.poses[missing[numbers]] = np.nan
             return replace(raw, stamps_ns=stamps_ns[numbers])
@@ -239,8 +237,7 @@ class FileSource:
         if abs(poses - count) > bool(raw.findings):
             raise SourceError(
                 f'{self.path} holds {counted(poses, "pose")} and {self.times} '
-                f'{counted(count, "time")}; needed one time '
-                'for each pose')
+                f'{counted(count, "time")}; needed one time for each pose')
         used = min(poses, count)
         raw.poses[:used][missing[:used]] = np.nan
         return replace(raw, poses=raw.poses[:used], stamps_ns=stamps_ns[:used])

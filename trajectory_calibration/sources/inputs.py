@@ -46,8 +46,8 @@ class InputOptions:
 
     def of_files(self) -> dict[str, Any]:
         """Return the settings that are given and mean nothing but for a file."""
-        names = ('file_format', 'times', 'columns', 'quaternion_order', 'time_unit')
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        return {name: value for name, value in vars(self).items()
+                if name not in ('frame', 'invert') and value is not None}
 
 
 def load_inputs(

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import ExitStack
 import json
 from pathlib import Path
 import sqlite3
-from typing import Any
 
 from trajectory_calibration.sources.channels import Batch, Channel, plain_type, Storage
 
@@ -43,13 +42,13 @@ class SqliteFile(Storage):
     def messages(self, topics: Collection[str]) -> Iterator[Batch]:
         """Yield the messages of some topics in the order of the file."""
         wanted = [key for key, channel in self._topics.items() if channel.topic in topics]
-        gathered: dict[int, tuple[list[Any], list[Any]]] = {key: ([], []) for key in wanted}
-        for ids, times, data in self._rows(wanted):
+        gathered: dict[int, tuple[list[int], list[bytes]]] = {key: ([], []) for key in wanted}
+        for rows in self._rows(wanted):
+            for _, topic_id, time, message in rows:
+                received, messages = gathered[topic_id]
+                received.append(time)
+                messages.append(message)
             for topic_id, lists in gathered.items():
-                mine = [k for k, other in enumerate(ids) if other == topic_id] if (
-                    len(wanted) > 1) else None
-                for target, column in zip(lists, (times, data), strict=True):
-                    target.extend(column if mine is None else [column[k] for k in mine])
                 if len(lists[0]) >= _BATCH:
                     yield Batch(self._topics[topic_id], *lists)
                     gathered[topic_id] = [], []
@@ -73,17 +72,18 @@ class SqliteFile(Storage):
             if missing > 0:
                 self.note_damage(f'its table lacks {missing} of the {indexed} rows of its index')
         if self.damage and not counts:
-            for ids, _, _ in self._rows(list(self._topics)):
-                counts.update(ids)
+            for rows in self._rows(list(self._topics)):
+                counts.update(row[1] for row in rows)
         if set(counts) - set(self._topics):
             self.note_damage('messages of a topic that is not declared')
         return [channel._replace(messages=counts[key])
                 for key, channel in self._topics.items()]
 
-    def _rows(
-        self, topic_ids: list[int],
-    ) -> Iterator[tuple[Sequence[int], Sequence[int], Sequence[bytes]]]:
-        """Yield topics, times and messages, stepping over damaged pages by ever longer strides."""
+    def _rows(self, topic_ids: list[int]) -> Iterator[list[tuple[int, int, int, bytes]]]:
+        """Yield ids, topics, times and messages of some topics.
+
+        Damaged pages are stepped over by ever longer strides.
+        """
         after, stride, size = 0, 1, _BLOCK
         wanted = json.dumps(topic_ids)
         # Behind so many rows of which none can be read, there are none left.
@@ -95,14 +95,11 @@ class SqliteFile(Storage):
                 while rows := cursor.fetchmany(size):
                     # A damaged page may give any number for a row: never go back.
                     after, stride = max(after, rows[-1][0]), 1
-                    _, ids, times, data = zip(*rows, strict=True)
-                    if set(map(type, times)) != {int} or set(map(type, data)) != {bytes}:
+                    whole = [row for row in rows
+                             if type(row[2]) is int and type(row[3]) is bytes]
+                    if len(whole) < len(rows):
                         self.note_damage('some of its rows hold no message')
-                        whole = [row for row in rows
-                                 if type(row[2]) is int and type(row[3]) is bytes]
-                        ids, times, data = zip(*(row[1:] for row in whole), strict=True) if (
-                            whole) else ((), (), ())
-                    yield ids, times, data
+                    yield whole
             except sqlite3.Error as error:
                 self.note_damage(str(error))
             else:

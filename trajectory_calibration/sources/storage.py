@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -152,10 +153,9 @@ def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     text = (path / 'metadata.yaml').read_text(encoding='utf-8')
     metadata = YAML(typ='safe', pure=True).load(text)['rosbag2_bagfile_information']
     listed = [PurePath(name).name for name in metadata['relative_file_paths']]
-    declared: dict[str, int] = {}
+    declared: Counter[str] = Counter()
     for topic in metadata['topics_with_message_count']:
-        name = str(topic['topic_metadata']['name'])
-        declared[name] = declared.get(name, 0) + int(topic['message_count'])
+        declared[str(topic['topic_metadata']['name'])] += int(topic['message_count'])
     return listed, declared
 
 

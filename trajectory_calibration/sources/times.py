@@ -115,10 +115,8 @@ def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
         'with --times (one a line)')]
 
 
-def read_times(
-    path: Path, unit: str | None,
-) -> tuple[Stamps, NDArray[np.bool_], list[str]]:
-    """Return the times of a file, one a line, which of them are not finite, and notes.
+def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
+    """Return the times of a file, one a line, and which of them are not finite.
 
     Seconds, or another unit that their size tells, or dates as KITTI writes them; what follows
     the time in a line is ignored. Blank and comment lines are skipped. Raise SourceError where a
@@ -132,17 +130,18 @@ def read_times(
             dates = np.array([line[:29].decode() for line in lines], dtype='datetime64[ns]')
         except ValueError as error:
             raise SourceError(f'{path} holds dates that cannot be read: {error}') from error
-        return dates.astype(np.int64), np.isnat(dates), []
+        return dates.astype(np.int64), np.isnat(dates)
     words = [re.split(rb'[,;\s]', line, maxsplit=1)[0] for line in lines]
     if words and not re.match(rb'[-+.\d]|nan$', words[0]):
         words = words[1:]
+    return _stamps_of(words, path, unit)
+
+
+def _stamps_of(
+    words: list[bytes], path: Path, unit: str | None,
+) -> tuple[Stamps, NDArray[np.bool_]]:
+    """Return the (N,) nanoseconds of times, and which of them are not finite."""
     table = Table.parse(path, b'\n'.join(words) + b'\n')
-    stamps_ns, missing = stamps_of(table, unit)
-    return stamps_ns, missing, table.notes
-
-
-def stamps_of(table: Table, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
-    """Return the (N,) nanoseconds of a table of times, and which of them are not finite."""
     numbers = table.read_numbers([], 0, TIME_UNITS[unit or unit_of(table.sample()[:, 0])])
     return numbers.stamps_ns, ~numbers.finite
 
@@ -154,8 +153,7 @@ def stamps_in_names(names: list[str], path: Path) -> tuple[Stamps | None, Stamps
     words = [(re.findall(r'\d+(?:\.\d+)?', stem) or [''])[-1] for stem in stems]
     if not all(words):
         return None, None
-    table = Table.parse(path, '\n'.join(words).encode() + b'\n')
-    stamps_ns, _ = stamps_of(table, None)
+    stamps_ns, _ = _stamps_of([word.encode() for word in words], path, None)
     if all(word == stem for word, stem in zip(words, stems, strict=True)) and (
             np.abs(stamps_ns) >= 1e8 * 1e9).all():
         return stamps_ns, None

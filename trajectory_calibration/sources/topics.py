@@ -272,7 +272,10 @@ def transform_track(
 
 def _stamps(received_ns: list[int]) -> NDArray[np.int64]:
     """Return times as an array; bags count in unsigned numbers, a damaged one may hold any."""
-    return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
+    try:
+        return np.array(received_ns, dtype=np.int64)
+    except OverflowError:
+        return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
 
 
 def _is_usable(path: cdr.PathPoses) -> bool:

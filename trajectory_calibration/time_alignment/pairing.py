@@ -42,13 +42,8 @@ _SPARSER = 1.5
 
 
 def associate(
-    a: Trajectory,
-    b: Trajectory,
-    *,
-    method: str = 'auto',
-    max_difference_ns: int = 20_000_000,
-    max_gap_ns: int = 500_000_000,
-    time_offset_ns: int = 0,
+    a: Trajectory, b: Trajectory, *, method: str = 'auto', max_difference_ns: int = 20_000_000,
+    max_gap_ns: int = 500_000_000, time_offset_ns: int = 0,
 ) -> PosePairs:
     """Pair the poses of two trajectories over their common time span.
 
@@ -116,11 +111,7 @@ def associate_nearest(
 
 
 def associate_by_interpolation(
-    a: Trajectory,
-    b: Trajectory,
-    *,
-    max_gap_ns: int | None,
-    time_offset_ns: int = 0,
+    a: Trajectory, b: Trajectory, *, max_gap_ns: int | None, time_offset_ns: int = 0,
     prefer_near: bool = False,
 ) -> PosePairs:
     """Evaluate a at the stamps of b, as ``interpolation.interpolate`` does.
@@ -184,9 +175,7 @@ def _require_overlap(
         f'time_offset to about {offset + time_offset_ns * 1e-9:.3f}')
 
 
-def _require_pairs(
-    summary: AssociationSummary, a: Trajectory, b: Trajectory, why: str,
-) -> None:
+def _require_pairs(summary: AssociationSummary, a: Trajectory, b: Trajectory, why: str) -> None:
     fewest = min(a, b, key=len)
     if len(fewest) < MIN_PAIRS:
         raise AssociationError(
@@ -213,14 +202,8 @@ def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:
 
 
 def _summarise(
-    method: str,
-    a: Trajectory,
-    stamps_b: NDArray[np.int64],
-    paired: NDArray[np.intp],
-    time_offset_ns: int,
-    *,
-    near: NDArray[np.bool_],
-    between: int = 0,
+    method: str, a: Trajectory, stamps_b: NDArray[np.int64], paired: NDArray[np.intp],
+    time_offset_ns: int, *, near: NDArray[np.bool_], between: int = 0,
 ) -> AssociationSummary:
     """Count the (N,) poses of b; ``near`` are those with a pose of a near enough."""
     inside = _inside(a, stamps_b)
