@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Any layout of a table is read rightly, or refused with the option that reads it."""
 
+from decimal import Decimal
 import json
 import re
 
@@ -230,6 +231,16 @@ def test_g2o_colmap_nerfstudio_and_numpy(tmp_path):
     # An array is one whatever its name.
     (tmp_path / 'poses.npy').rename(tmp_path / 'poses.dat')
     assert _is_right(FileSource(tmp_path / 'poses.dat', times=times).load())
+
+
+def test_times_of_an_array_are_read_as_it_writes_them(tmp_path):
+    np.save(tmp_path / 'a.npy', np.column_stack([0.1 * np.arange(COUNT), POSES]))
+    trajectory = FileSource(tmp_path / 'a.npy').load()
+    np.testing.assert_array_equal(trajectory.stamps_ns, np.arange(COUNT) * 100_000_000)
+    assert trajectory.findings == ()
+    np.save(tmp_path / 'a.npy', np.column_stack([STAMPS_NS * 1e-9, POSES]))
+    expected = [round(Decimal(repr(stamp)) * 10**9) for stamp in (STAMPS_NS * 1e-9).tolist()]
+    assert FileSource(tmp_path / 'a.npy').load().stamps_ns.tolist() == expected
 
 
 @pytest.mark.parametrize(('name', 'content', 'message'), [

@@ -133,8 +133,9 @@ class BagReader:
         types = {topic: self._serving_type(topic) for topic in topics.values()}
         for bag in self._bags:
             bag.found.clear()
-        transforms = self._transform_topics() if len(topics) < len(names) else []
-        if len(topics) < len(names) and not transforms:
+        of_frames = any(map(names_frames, names))
+        transforms = self._transform_topics() if of_frames else []
+        if of_frames and not transforms:
             raise self._topic_error('no topic of transforms (/tf)')
         parts, tf = self._gather(types, transforms, progress)
         result = {}

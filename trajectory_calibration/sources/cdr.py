@@ -198,7 +198,8 @@ def _groups(
                 break
             layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
             same = _same(rows, [slice(None)] if layout is None else layout.deciding)
-            yield indices[same], rows[same], layout
+            # All of them, as they mostly are, need no copy.
+            yield (indices, rows, layout) if same.all() else (indices[same], rows[same], layout)
             indices, rows = indices[~same], rows[~same]
         for k, index in enumerate(indices.tolist()):
             yield (indices[k:k + 1], rows[k:k + 1],

@@ -126,8 +126,10 @@ class FileSource:
     def _read(self) -> RawPoses:
         """Return what the file holds."""
         path = Path(self.path)
-        kind = self.file_format or ('npy' if is_array(path) else None)
-        data = read_array(path) if kind == 'npy' else read_bytes(path)
+        kind = self.file_format
+        if kind == 'npy' or (kind is None and is_array(path)):
+            return self._table(read_array(path))
+        data = read_bytes(path)
         if kind is None and self.columns is None:
             kind = structure_of(path, data[:2000])
         if kind in STRUCTURED:

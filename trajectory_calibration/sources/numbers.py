@@ -67,10 +67,18 @@ def read_columns(
                     raise NotANumberError(row, column, 'is no number') from None
         raise
     values = np.column_stack([np.zeros((len(lines), 0)), *(table[f'f{k}'] for k in columns)])
-    if time_column is None:
+    words = [] if time_column is None else table[f'f{time_column}'].tolist()
+    return with_times(values, words, time_column, decimals)
+
+
+def with_times(
+    values: FloatArray, words: list[str], column: int | None, decimals: int,
+) -> Numbers:
+    """Return (N, K) numbers and the times that (N,) words of a column say; none without one."""
+    if column is None:
         nothing = np.zeros(0, dtype=np.int64)
         return Numbers(values, nothing, nothing, nothing > 0, nothing > 0)
-    return Numbers(values, *_times(table[f'f{time_column}'].tolist(), 9 - decimals, time_column))
+    return Numbers(values, *_times(words, 9 - decimals, column))
 
 
 def is_number(word: str) -> bool:

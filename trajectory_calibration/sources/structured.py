@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import in_words, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.numbers import is_number
+from trajectory_calibration.sources.numbers import is_number, Numbers, with_times
 from trajectory_calibration.sources.text import Table
 from trajectory_calibration.sources.times import stamps_in_names
 
@@ -55,8 +56,27 @@ def is_array(path: Path) -> bool:
         return False
 
 
-def read_array(path: Path) -> bytes:
-    """Return the table in a file of shape (N, 4, 4), (N, 3, 4) or one row a pose, as text."""
+@dataclass
+class ArrayTable(Table):
+    """A table whose numbers, (N, C), are read already."""
+
+    array: FloatArray = field(kw_only=True)
+
+    def read_numbers(
+        self, columns: Sequence[int], time_column: int | None = None, decimals: int = 0,
+    ) -> Numbers:
+        """Return columns as ``Table.read_numbers`` does; times as they are written shortest."""
+        words = [] if time_column is None else self.array[:, time_column].tolist()
+        return with_times(
+            self.array[:, list(columns)], list(map(repr, words)), time_column, decimals)
+
+    def sample(self) -> FloatArray:
+        """Return all rows."""
+        return self.array
+
+
+def read_array(path: Path) -> ArrayTable:
+    """Return the table in a file of shape (N, 4, 4), (N, 3, 4) or one row a pose."""
     try:
         array = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
     except Exception as error:
@@ -67,8 +87,8 @@ def read_array(path: Path) -> bytes:
     if array.ndim != 2 or not array.size:
         raise SourceError(f'{path} holds an array of shape {array.shape}; needed (N, 4, 4), '
                           '(N, 3, 4) or one row a pose')
-    # repr gives the shortest text that reads back as the same number.
-    return ''.join(f'{" ".join(map(repr, row))}\n' for row in array.tolist()).encode()
+    return ArrayTable(path, b'', range(1, len(array) + 1), [], None, array.shape[1],
+                      complete=True, array=array)
 
 
 def structure_of(path: Path, beginning: bytes) -> str | None:

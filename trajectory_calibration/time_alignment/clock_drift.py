@@ -11,7 +11,7 @@ regression.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,18 +52,12 @@ _BLOCKS = (20, 10)
 _LARGEST = 1e-3
 
 
-@dataclass(frozen=True)
-class ClockDrift:
+class ClockDrift(NamedTuple):
     """How much faster the clock of b must run to keep up with that of a.
 
-    Attributes
-    ----------
-    rate : seconds per second.
-    std : its standard deviation.
-    uneven_s : by how much a quarter of the time is off this straight line, seconds; zero where
-        that is not significant.
-    from_ns : stamp of b, before any offset, in the middle of the time that both have in common.
-
+    Its ``rate`` (s/s) and the standard deviation of that; by how much a quarter of the time is off
+    this straight line, seconds, zero where that is not significant; the stamp of b, before any
+    offset, in the middle of the time that both have in common.
     """
 
     rate: float
@@ -147,30 +141,37 @@ def _regress(
         return None
     R = se3.nearest_rotation(of_a[known].T @ turning.of_b[known])
     residual = turning.of_b @ R.T - of_a
-    J = np.concatenate([slope[:, :, None] * basis[:, None, :], -se3.skew(of_a)], axis=2)
+    J, J_quarters = (
+        np.concatenate([slope[:, :, None] * columns[:, None, :], -se3.skew(of_a)], axis=2)
+        for columns in (basis, _quarters(turning)))
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.median(size[known])), np.finfo(float).tiny)
     weights = known / (1 + (size / (_TAIL * usual))**2)
-    weighted = weights[:, None, None] * J
-    # About an axis that nothing turned about, the rotation is open: no part of the answer.
-    inverse = np.linalg.pinv(_gram(weighted, J), rcond=ROUNDING, hermitian=True)
-    step = inverse @ _gram(weighted, residual)
-    rest: FloatArray = residual - J @ step
+    step, inverse = _fit(J, weights, residual)
+    rest = residual - J @ step
     variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * turning.overlapping)
+    weighted = weights[:, None, None] * J
     white = variance * inverse @ _gram(weighted, weighted) @ inverse
     # Beside what a clock that was set does: that is no noise, but for find_clock_drift to say.
-    quarters = slope[:, :, None] * _quarters(turning)[:, None, :]
-    J_quarters = np.concatenate([quarters, J[:, :, -3:]], axis=2)
-    beside = weights[:, None, None] * J_quarters
-    fitted = np.linalg.pinv(_gram(beside, J_quarters), rcond=ROUNDING, hermitian=True) @ _gram(
-        beside, rest)
-    scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ fitted) @ inverse
+    beside, _ = _fit(J_quarters, weights, rest)
+    scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ beside) @ inverse
     n = basis.shape[1]
     squares = np.diag(white)[:n]
     # Quarters of the time are themselves what the blocks are compared within.
     if n < 4:
         squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
     return step[:n], np.sqrt(np.maximum(squares, 0.0))
+
+
+def _fit(
+    J: FloatArray, weights: FloatArray, residual: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the (n,) least squares for (K, 3, n) J, (K, 3) residuals, and the inverse normal."""
+    weighted = weights[:, None, None] * J
+    # About an axis that nothing turned about, the rotation is open: no part of the answer.
+    inverse = np.asarray(
+        np.linalg.pinv(_gram(weighted, J), rcond=ROUNDING, hermitian=True), dtype=np.float64)
+    return inverse @ _gram(weighted, residual), inverse
 
 
 def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
