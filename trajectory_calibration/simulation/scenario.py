@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -102,16 +103,8 @@ class Scenario:
                         f'at most {_MOST_POSES:,}; lower the duration or the rate'))
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedPair:
-    """What the two sensors report, and the truth.
-
-    Attributes
-    ----------
-    a, b : the trajectories.
-    T_a_b : (4, 4), the true pose of sensor b in sensor a.
-
-    """
+class SimulatedPair(NamedTuple):
+    """What the two sensors report, and the true (4, 4) pose of sensor b in sensor a."""
 
     a: Trajectory
     b: Trajectory
