@@ -122,8 +122,8 @@ def fit(
         prior = prior_precision(state.terms, modes)
         free = np.isfinite(prior)
         prior = np.where(free, prior, 1.0)
-        found = contrast(drive, state, tree, noise.of_pose(state.T_a_b), noise.walk, jumps,
-                         weights)
+        found = contrast(drive, state, tree, noise.of_pose(state.T_a_b), noise.walk,
+                         noise.of_scale(len(noise.walk)), jumps, weights)
         if not free.all():
             found = replace(found, J=found.J * free)
         if round_ in _TAIL_ROUNDS:
@@ -152,10 +152,8 @@ def fit(
 def _carried(noise: Noise, before: Fit, drive: Drive) -> Noise:
     """Return the noise with what a fit to every k-th pose found between worlds."""
     shift = round(np.log2((len(drive) - 1) / (len(before.drive) - 1)))
-    walk = before.noise.walk
-    below = walk[1:2] / 2.0**np.arange(shift, 0, -1)[:, None]
-    return replace(noise, walk=np.concatenate([0 * walk[:1], below, walk[1:]]),
-                   tail=before.noise.tail).resized(len(noise.walk))
+    carried = before.noise.refined(shift).resized(len(noise.walk))
+    return replace(carried, white=noise.white)
 
 
 def _cuts(jumps: FloatArray) -> NDArray[np.bool_]:

@@ -13,6 +13,11 @@ step of Fisher scoring a round; variances stay at least zero. The white noise is
 neighbouring poses (octave 0), the noise between worlds by its own octave. An octave of few
 contrasts is drawn towards what the one below it tells: noise grows there by ``_GROWTH``.
 
+The scale of a sensor is not only off but varies on the way: worlds differ in it too. That noise
+goes along with the distance moved, ``E = j j'`` with j the derivative of d in the log scale. All
+octaves tell its one variance, under a half-Cauchy prior of the deviation as wide as that of the
+scale itself.
+
 D. A. Harville, "Maximum likelihood approaches to variance component estimation and to related
 problems", JASA 72(358), 1977, doi:10.1080/01621459.1977.10480998.
 """
@@ -33,7 +38,14 @@ from trajectory_calibration.solvers.drift_aware.algebra import (
     TRANSLATION,
     transposed,
 )
-from trajectory_calibration.solvers.drift_aware.drive import correct, Drive, residuals, State
+from trajectory_calibration.solvers.drift_aware.drive import (
+    correct,
+    Drive,
+    HALF_WIDTH,
+    residuals,
+    SCALE,
+    State,
+)
 from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
 _PARTS = (TRANSLATION, ROTATION)
@@ -49,6 +61,8 @@ _SMALLEST_EXTENT = 1e-3
 # grows on the way: between flicker (1) and a random walk (2).
 _PRIOR_CONTRASTS = 24
 _GROWTH = 1.4
+# The variance of the scale grows less: between white noise along the way (1/2) and flicker (1).
+_SCALE_GROWTH = 0.7
 
 # A round changes the white noise by no more than this factor.
 _LARGEST_CHANGE = 20.0
@@ -62,12 +76,14 @@ class Noise:
     ----------
     white : (2,) of a pose, both sensors together, per axis.
     walk : (octaves, 2) between the worlds of neighbouring windows.
+    scale : of the log scale between the worlds of neighbouring windows, octave 1.
     tail : degrees of freedom of the contrasts.
 
     """
 
     white: FloatArray
     walk: FloatArray
+    scale: float
     tail: float
 
     def resized(self, octaves: int) -> Noise:
@@ -76,9 +92,25 @@ class Noise:
         return self if more <= 0 else replace(self, walk=np.concatenate(
             [self.walk, np.repeat(self.walk[-1:], more, axis=0)]))
 
+    def refined(self, octaves: int) -> Noise:
+        """Return the noise between worlds where that many octaves are added below."""
+        below = self.walk[1:2] / 2.0**np.arange(octaves, 0, -1)[:, None]
+        return replace(self, walk=np.concatenate([0 * self.walk[:1], below, self.walk[1:]]),
+                       scale=self.scale / _SCALE_GROWTH**octaves)
+
     def of_pose(self, T_a_b: FloatArray) -> FloatArray:
         """Return (6, 6) of a pose in the axes of b."""
         return np.tensordot(self.white, units(T_a_b), axes=1)
+
+    def of_scale(self, octaves: int) -> FloatArray:
+        """Return (octaves,) the variances of the log scale between worlds."""
+        return self.scale * _scale_growth(octaves)
+
+
+def _scale_growth(octaves: int) -> FloatArray:
+    """Return (octaves,) the variance of the scale over that of octave 1; poses have none."""
+    k = np.arange(octaves)
+    return np.where(k > 0, _SCALE_GROWTH**(k - 1.0), 0.0)
 
 
 def units(T_a_b: FloatArray) -> FloatArray:
@@ -99,7 +131,7 @@ def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]
     i = np.flatnonzero(~cut)
     e = residuals(drive, correct(drive, state), i, i + 1)
     white = [0.65 * np.median((e[:, part]**2).mean(axis=1)) for part in _PARTS]
-    return Noise(_balanced(np.array(white), drive), np.zeros((octaves, 2)), 5.0)
+    return Noise(_balanced(np.array(white), drive), np.zeros((octaves, 2)), 0.0, 5.0)
 
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
@@ -133,7 +165,8 @@ def improved(
     lowest = slice(0, tree.first[1] if len(tree.first) > 1 else None)
     white = _improved_white(noise, drive, state, tree, found, slope, used, lowest)
     walk = _improved_walk(noise, tree, found, slope, used)
-    return Noise(white, walk, noise.tail)
+    scale = _improved_scale(noise, tree, found, slope, used)
+    return Noise(white, walk, scale, noise.tail)
 
 
 def _improved_white(
@@ -187,3 +220,15 @@ def _improved_walk(
         step = solved(own + prior, score[octave] + prior @ (expected - walk[octave]))
         walk[octave] = np.maximum(walk[octave] + step, 0.0)
     return walk
+
+
+def _improved_scale(
+    noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
+) -> float:
+    """Fit the variance of the scale to the contrasts of all octaves."""
+    growth = np.where(used, _scale_growth(tree.octaves)[tree.octave], 0.0)
+    j = found.J[:, :, SCALE]
+    score = float(growth @ (j * apply(slope, j)).sum(axis=1))
+    information = float(growth**2 @ (j * apply(found.inverse, j)).sum(axis=1)**2)
+    score -= 1.0 / (HALF_WIDTH[SCALE - 6]**2 + noise.scale)
+    return max(0.0, noise.scale + score / information) if information > 0 else 0.0

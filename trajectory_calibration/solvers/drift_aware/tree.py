@@ -14,6 +14,9 @@ seen at the body between them, and merge to one estimate as a Kalman filter woul
 
     G = (P_1 + D/2) V^-1,   Z = Z_1 exp(G d),   P = G (P_2 + D/2).
 
+D has the same variance in all directions, and more along the distance moved (the scale of worlds
+differs too).
+
 Contrasts are independent, so that ``sum log det V + d' V^-1 d`` is -2 log likelihood. With D = 0
 it is that of one world for all poses (robot-world hand-eye calibration, ``A X = Z B``); noise
 that walks doubles D from octave to octave, flicker keeps it: the variances that an Allan
@@ -248,13 +251,15 @@ def contrast(
     tree: Plan,
     white: FloatArray,
     walk: FloatArray,
+    scale: FloatArray,
     jumps: FloatArray,
     weights: FloatArray,
 ) -> Contrasts:
     """Go up the tree.
 
     ``white`` is (6, 6), the covariance of the noise of a pose of both sensors in the axes of b;
-    ``walk`` (octaves, 2), the variance of translation and rotation between worlds of an octave;
+    ``walk`` (octaves, 2), the variance of translation and rotation between worlds of an octave,
+    ``scale`` (octaves,) that of their log scale;
     ``jumps`` (N - 1, 2), what is added to that across each step; ``weights`` (n,), of the
     contrasts in the order of the plan, of which at most one counts here.
 
@@ -267,22 +272,24 @@ def contrast(
     worlds = _Worlds(at.R_ax, at.p_ax, J, np.broadcast_to(white, (N, 6, 6)))
     moves = _Moves.of(at, tree)
     # All in the order of the rounds.
-    noise, trusted = np.zeros((n, 6, 6)), np.empty((n, 1, 1))
+    noise, trusted, of_scale = np.zeros((n, 6, 6)), np.empty((n, 1, 1)), np.empty((n, 1, 1))
     variance = walk[tree.octave] + jumps[tree.boundary - 1]
     noise[tree.order[:, None], _DIAGONAL, _DIAGONAL] = np.repeat(variance, 3, axis=1)
     trusted[tree.order, 0, 0] = np.minimum(weights, 1.0)
+    of_scale[tree.order, 0, 0] = scale[tree.octave]
     d, J, V, inverse = (np.empty((n, 6, *columns)) for columns in (
         (), (PARAMETERS,), (6,), (6,)))
     for level in tree.levels:
         rows = level.rows
-        worlds = _merge(moves, worlds, level, noise[rows], trusted[rows],
+        worlds = _merge(moves, worlds, level, noise[rows], of_scale[rows], trusted[rows],
                         (d[rows], J[rows], V[rows], inverse[rows]))
     d, J, V, inverse = (values[tree.order] for values in (d, J, V, inverse))
     return Contrasts(d, J, V, inverse, (d * apply(inverse, d)).sum(axis=1))
 
 
 def _merge(
-    moves: _Moves, worlds: _Worlds, level: Level, D: FloatArray, w: FloatArray,
+    moves: _Moves, worlds: _Worlds, level: Level, D: FloatArray, of_scale: FloatArray,
+    w: FloatArray,
     found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> _Worlds:
     """Return the nodes of the next round; put the contrasts of this one into ``found``."""
@@ -292,6 +299,8 @@ def _merge(
     back = np.ascontiguousarray(transposed(one.R))
     d[:, TRANSLATION], d[:, ROTATION] = apply(back, two.p - one.p), log(back @ two.R)
     np.subtract(two.J, one.J, out=J)
+    along = J[:, :, SCALE, None]
+    D = D + of_scale * (along * transposed(along))
     np.add(one.P, two.P, out=V)
     V += D
     inverse[:] = np.linalg.inv(V)
