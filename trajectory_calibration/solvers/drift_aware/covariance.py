@@ -7,16 +7,17 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers.drift_aware.drive import LATENCY
+from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY, State
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
 # Directions with less information than this part of the others (rounding) are open: a kilometre.
 _OPEN, _FAR = 1e-11, 1e3
 
-# A latency that the motion does not tell is stated with this deviation, seconds: 68 % of its prior
-# lie within it. At a constant speed nothing tells it from the lever arm along the way.
-_LATENCY_STATED = 0.01
+# Latencies beyond this, seconds, are unlikely, whatever the tail of the prior says.
+_LONG_LATENCY_S = 0.1
+# Where a posterior is integrated, in standard deviations of what the data say.
+_ABSCISSAE = np.linspace(-8.0, 8.0, 2001)
 
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -31,6 +32,34 @@ def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
     return kept / values[known] @ kept.T, free @ free.T * _FAR**2
 
 
+def _latency(fit: Fit) -> tuple[FloatArray, float]:
+    """Return the (12,) step from the likeliest latency to its mean, and the precision it has.
+
+    At a constant speed nothing tells a latency from the lever arm along the way. Its posterior, a
+    Cauchy prior by the normal distribution that the data give, is then wide and lopsided, and its
+    curvature at the mode says little of it. Precision: what to add to that of the data.
+    """
+    prior = fit.prior.copy()
+    prior[LATENCY] = 0.0
+    of_data = sum(_inverse(fit.octaves.information(fit.c) / fit.phi + np.diag(prior)))
+    told = 1 / of_data[LATENCY, LATENCY]
+    mode = fit.state.terms[LATENCY - 6]
+    precision = told + _LONG_LATENCY_S**-2
+    middle = (told + fit.prior[LATENCY]) * mode / precision
+    x = middle + _ABSCISSAE / np.sqrt(precision)
+    cost = np.log1p((x / HALF_WIDTH[LATENCY - 6])**2) + 0.5 * _ABSCISSAE**2
+    p = np.exp(cost.min() - cost)
+    p /= p.sum()
+    mean = p @ x
+    step = of_data[:, LATENCY] * told * (mean - mode)
+    return step, max(0.0, 1 / float(p @ (x - mean)**2) - told)
+
+
+def settled(fit: Fit) -> State:
+    """Return the state with the mean latency in place of the likeliest, others following it."""
+    return fit.state.moved(_latency(fit)[0])
+
+
 def covariance(fit: Fit) -> FloatArray:
     """Return (12, 12), of all parameters about the truth; fixed ones have none."""
     A = fit.octaves.information(fit.c)
@@ -41,8 +70,7 @@ def covariance(fit: Fit) -> FloatArray:
         middle += (vectors * np.maximum(values, fit.phi)) @ vectors.T / len(BLOCKS)
     prior = fit.prior.copy()
     prior[:6] = 0.0
-    latency = fit.state.terms[LATENCY - 6]
-    prior[LATENCY] = min(prior[LATENCY], 1.0 / (_LATENCY_STATED**2 + latency**2))
+    prior[LATENCY] = _latency(fit)[1]
     inverse, open_ = _inverse(A / fit.phi + np.diag(prior))
     result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + open_
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)

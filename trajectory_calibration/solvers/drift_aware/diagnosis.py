@@ -68,12 +68,17 @@ def _white_and_walk(fit: Fit) -> tuple[FloatArray, FloatArray]:
     """Return (2,) deviations of white noise of one sensor, and of the walk after a metre.
 
     A walk of variance q a step makes D = 2^octave q / 2, and adds q / 2 to the white noise.
+    What the scale varies along the way walks too.
     """
-    n = np.bincount(fit.tree.octave, minlength=fit.tree.octaves)
-    above = np.arange(1, fit.tree.octaves)
+    octaves = fit.tree.octaves
+    n = np.bincount(fit.tree.octave, minlength=octaves)
+    above = np.arange(1, octaves)
     of_walk = np.zeros(2)
     if len(above):
-        rate = fit.noise.walk[above] / 2.0**above[:, None]
+        along = np.bincount(fit.tree.octave, (fit.contrasts.J[:, TRANSLATION, SCALE]**2).mean(
+            axis=1), octaves) * fit.noise.of_scale(octaves) / np.maximum(n, 1)
+        D = fit.noise.walk[:octaves] + along[:, None] * [1.0, 0.0]
+        rate = D[above] / 2.0**above[:, None]
         of_walk = (n[above, None] * rate).sum(axis=0) / max(n[above].sum(), 1)
     white = np.maximum(fit.noise.white - of_walk, 0.0)
     way = np.linalg.norm(fit.drive.step_b, axis=1).mean()
