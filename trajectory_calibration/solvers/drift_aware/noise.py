@@ -61,8 +61,6 @@ _SMALLEST_EXTENT = 1e-3
 # grows on the way: between flicker (1) and a random walk (2).
 _PRIOR_CONTRASTS = 24
 _GROWTH = 1.4
-# The variance of the scale grows less: between white noise along the way (1/2) and flicker (1).
-_SCALE_GROWTH = 0.7
 
 # A round changes the white noise by no more than this factor.
 _LARGEST_CHANGE = 20.0
@@ -96,7 +94,7 @@ class Noise:
         """Return the noise between worlds where that many octaves are added below."""
         below = self.walk[1:2] / 2.0**np.arange(octaves, 0, -1)[:, None]
         return replace(self, walk=np.concatenate([0 * self.walk[:1], below, self.walk[1:]]),
-                       scale=self.scale / _SCALE_GROWTH**octaves)
+                       scale=self.scale / _GROWTH**octaves)
 
     def of_pose(self, T_a_b: FloatArray) -> FloatArray:
         """Return (6, 6) of a pose in the axes of b."""
@@ -110,7 +108,7 @@ class Noise:
 def _scale_growth(octaves: int) -> FloatArray:
     """Return (octaves,) the variance of the scale over that of octave 1; poses have none."""
     k = np.arange(octaves)
-    return np.where(k > 0, _SCALE_GROWTH**(k - 1.0), 0.0)
+    return np.where(k > 0, _GROWTH**(k - 1.0), 0.0)
 
 
 def units(T_a_b: FloatArray) -> FloatArray:
