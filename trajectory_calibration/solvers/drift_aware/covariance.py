@@ -41,7 +41,8 @@ def _latency(fit: Fit) -> tuple[FloatArray, float]:
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
-    of_data = sum(_inverse(fit.octaves.information(fit.c) / fit.phi + np.diag(prior)))
+    known, open_ = _inverse(fit.octaves.information(fit.c) / fit.phi + np.diag(prior))
+    of_data = known + open_
     told = 1 / of_data[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
     precision = told + _LONG_LATENCY_S**-2
