@@ -254,15 +254,15 @@ def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
     seconds = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
     at = evenly(len(seconds), _POINTS).astype(int)
     apart = np.linalg.norm(laid[1:] - laid[:1], axis=2)[:, at]
-    found = []
+    figures = ''
     for name, distance in zip(names[1:], apart, strict=True):
         if not np.isfinite(distance).any():
             continue
         plot = Plot((0.0, seconds[-1]), (0.0, limits(distance, include=[0.0])[1]),
                     name=f'{name} from {names[0]}', x_label='s', y_label='m')
         plot.line(seconds[at], distance, 'line-b')
-        found.append(figure(
+        figures += figure(
             'apart', plot,
             f'Median {np.nanmedian(distance):.3g} m, largest {np.nanmax(distance):.3g} m.',
-            name=name, base=names[0]))
-    return ''.join(found)
+            name=name, base=names[0])
+    return figures

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 
 import numpy as np
@@ -110,9 +111,8 @@ def _together(a: Trajectory, b: Trajectory) -> str:
     reading = 'Both sensors of one vehicle turn by the same angle at the same time.'
     if a.stamps_ns[-1] <= b.stamps_ns[0] or b.stamps_ns[-1] <= a.stamps_ns[0]:
         # Nothing in common: from the first pose of each, which shows whether it was one drive.
-        clocks = compare_clocks(a, Trajectory(
-            b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0], b.poses, b.world_frame,
-            b.sensor_frame))
+        clocks = compare_clocks(
+            a, replace(b, stamps_ns=b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0]))
         reading += ' Drawn from the first pose of each, because they have no time in common.'
     return strip + figure('rates of inputs', draw.rates(clocks), reading,
                           legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))

@@ -93,8 +93,7 @@ class Tracks:
 def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
     """Return b in the clock and the unit of a, as the result has them."""
     b = b.retimed(result.clock_drift, result.clock_drift_from_ns).scaled(result.scale)
-    shift_ns = round(result.time_offset_s * 1e9)
-    return Trajectory(b.stamps_ns + shift_ns, b.poses, b.world_frame, b.sensor_frame)
+    return replace(b, stamps_ns=b.stamps_ns + round(result.time_offset_s * 1e9))
 
 
 def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> Tracks:
