@@ -344,6 +344,15 @@ def test_thinned_first_then_all_poses():
     np.testing.assert_allclose(solution.diagnosis.white_m, 0.01, rtol=0.1)
 
 
+@pytest.mark.parametrize('name, minutes', [('drone', 30), ('offroad', 65)])
+def test_a_steady_drift_of_a_long_drive_is_counted_along_the_way(name, minutes):
+    """Steps of a second or nearly, in which the vehicle turns."""
+    run = simulate(replace(SCENARIOS[name], duration=60.0 * minutes), 1)
+    solution = solve_pairs(associate(run.a, run.b), AUTO)
+    z = error_of(solution, run.T_a_b) / np.sqrt(np.diag(solution.covariance))
+    assert np.abs(z).max() < 3.5
+
+
 @pytest.mark.parametrize('noise', [
     {'white': (0.02, 0.01)},
     {'walk': (0.02, 0.005)},

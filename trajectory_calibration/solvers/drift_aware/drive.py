@@ -80,6 +80,7 @@ class Drive:
     times : (N,) seconds from the first.
     R_a, p_a, R_b, p_b : (N, 3, 3) attitudes and (N, 3) positions about the first, in the worlds.
     step_b : (N - 1, 3) the way of b from pose to pose, in its own axes before it.
+    axes_b : (N - 1, 3, 3) the mean attitude of b on the way of each step.
     velocity_b : (N, 3) of b in its world, m/s; zero beside gaps.
     twist_a : (N, 6) of a in its own axes, m/s and rad/s; zero beside gaps.
     gap : (N - 1,) bool, whether nothing is known of a step.
@@ -92,6 +93,7 @@ class Drive:
     R_b: FloatArray
     p_b: FloatArray
     step_b: FloatArray
+    axes_b: FloatArray
     velocity_b: FloatArray
     twist_a: FloatArray
     gap: NDArray[np.bool_]
@@ -105,8 +107,11 @@ class Drive:
         return float(np.median(np.diff(self.times)))
 
     @classmethod
-    def of(cls, pairs: PosePairs) -> Drive:
-        """Return what the solver needs of pose pairs."""
+    def of(cls, pairs: PosePairs, every: int = 1) -> Drive:
+        """Return what the solver needs of every so many pose pairs."""
+        starts = np.arange(0, len(pairs), every)
+        axes_b = np.add.reduceat(pairs.poses_b[:, :3, :3], starts)[:-1] / every
+        pairs = pairs.thinned(every)
         times = (pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9
         R_a, R_b = pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]
         p_a = pairs.poses_a[:, :3, 3] - pairs.poses_a[0, :3, 3]
@@ -121,6 +126,7 @@ class Drive:
         return cls(
             times, R_a, p_a, R_b, p_b,
             step_b=apply(transposed(R_b[:-1]), np.diff(p_b, axis=0)),
+            axes_b=axes_b,
             velocity_b=rate * (p_b[after] - p_b[before]),
             twist_a=rate * np.c_[apply(transposed(R_a), p_a[after] - p_a[before]), spin],
             gap=gap)
@@ -183,7 +189,7 @@ def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:
     along, rest = m @ drift, 1.0 - drift @ drift
     length = (np.sqrt(along**2 + rest * np.einsum('ni,ni->n', m, m)) + along) / rest
     result = np.zeros((len(drive), 3, 3))
-    np.cumsum(length[:, None, None] * drive.R_b[:-1], axis=0, out=result[1:])
+    np.cumsum(length[:, None, None] * drive.axes_b, axis=0, out=result[1:])
     return result
 
 

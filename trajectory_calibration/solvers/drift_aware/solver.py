@@ -74,10 +74,11 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             f'drift_aware: {counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
             'tell noise from motion; record longer or use dnl')
     _require_motion(pairs)
-    kept = pairs.thinned(_every(pairs))
+    every = _every(pairs)
+    kept = pairs.thinned(every)
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
-        found, unit = _fit(kept, dict(terms))
+        found, unit = _fit(pairs, every, dict(terms))
         spread, cost = covariance(found), found.objective
         found = replace(found, state=settled(found))
         if not np.isfinite(np.r_[found.state.T_a_b.ravel(), spread.ravel(), cost]).all():
@@ -112,10 +113,10 @@ def in_parent_axes(covariance_b: FloatArray, T_a_b: FloatArray) -> FloatArray:
     return result
 
 
-def _fit(pairs: PosePairs, terms: dict[str, str]) -> tuple[Fit, float]:
+def _fit(pairs: PosePairs, every: int, terms: dict[str, str]) -> tuple[Fit, float]:
     """Return the fit, and the metres of a per unit of b: from few poses to all of them."""
-    drive = Drive.of(pairs)
-    coarse = Drive.of(pairs.thinned(max(1, len(pairs) // _COARSE)))
+    drive = Drive.of(pairs, every)
+    coarse = Drive.of(pairs, every * max(1, len(drive) // _COARSE))
     state, unit = start(coarse, unit_is_known=terms['scale'] == 'fixed')
     if unit != 1.0:
         # Only such a scale is free.
