@@ -3,6 +3,7 @@
 """Inputs that no extrinsic belongs to are refused before a solver runs, with what mends them."""
 
 from dataclasses import replace
+import re
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from trajectory_calibration.assessment.offset_steadiness import offset_steadines
 from trajectory_calibration.assessment.orientation_checks import least_steps
 from trajectory_calibration.assessment.rigid_fit import best_fit
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.sources.files import FileSource
 from trajectory_calibration.time_alignment.align import match
 
@@ -201,3 +203,67 @@ def test_one_that_is_inverted_is_named_where_the_vehicle_hardly_tilts(name):
     a, b = pair(name)
     with pytest.raises(MotionError, match=r'does a hold inverted poses .* Use --invert-a$'):
         checked(inverted(a), b)
+
+
+def conjugated(t):
+    return with_rotations(t, np.swapaxes(t.rotations, 1, 2))
+
+
+@pytest.mark.parametrize('name', ['drone', 'car, scale and drift'])
+def test_rotations_of_the_world_beside_positions_of_the_sensor_are_named(name):
+    a, b = pair(name)
+    with pytest.raises(MotionError, match='b hold rotations of the world in'):
+        checked(a, conjugated(b))
+
+
+def test_both_of_them_are_named_too():
+    a, b = pair('drone')
+    with pytest.raises(MotionError, match=r'do both hold rotations of the world .* x, y and z neg'):
+        checked(conjugated(a), conjugated(b))
+
+
+@pytest.mark.parametrize('offset_s', [18.0, -37.0])
+def test_clocks_that_are_farther_apart_than_was_searched_are_named(offset_s):
+    a, b = pair('car, scale and drift')
+    apart = replace(b, stamps_ns=b.stamps_ns + round(offset_s * 1e9))
+    with pytest.raises(MotionError, match=rf'time_offset to {-offset_s:.0f}') as refused:
+        checked(a, apart)
+    (advised,) = re.findall(r'time_offset to (\S+)', str(refused.value))
+    assert calibrate(a, apart, replace(CONFIG, time_offset=float(advised))).time_offset_s == (
+        pytest.approx(-offset_s, abs=0.05))
+
+
+def test_a_vehicle_that_stands_still_is_asked_whether_it_does():
+    rng = np.random.default_rng(4)
+    stamps_ns = 10**18 + 10**8 * np.arange(600)
+    a, b = (Trajectory(stamps_ns, se3.from_rotation_translation(
+        se3.exp_so3(0.001 * rng.standard_normal((600, 3))),
+        0.005 * rng.standard_normal((600, 3)))) for _ in 'ab')
+    with pytest.raises(MotionError, match='Does the vehicle stand still'):
+        checked(a, b)
+
+
+def in_world(t, turn):
+    """Return the poses with their orientations, but not their positions, in another world."""
+    return with_rotations(t, se3.exp_so3(np.asarray(turn)) @ t.rotations)
+
+
+@pytest.mark.parametrize('turn_deg', [10.0, 90.0])
+def test_an_orientation_in_another_world_than_the_position_is_named(turn_deg):
+    run = simulate(SCENARIOS['offroad'], 10)
+    b = in_world(run.b, [0.0, 0.0, np.deg2rad(turn_deg)])
+    try:
+        said = [finding.text for finding in calibrate(run.a, b).findings
+                if finding.code == 'worlds-differ']
+    except MotionError as refused:
+        said = [str(refused)]
+    assert len(said) == 1
+    assert 'positions and orientations of one of them in two worlds' in said[0]
+
+
+@pytest.mark.parametrize('scenario', ['offroad', 'road', 'drone', 'handheld'])
+def test_of_sound_drives_turns_and_ways_tell_one_rotation(scenario):
+    for seed in range(3):
+        run = simulate(replace(SCENARIOS[scenario], duration=120.0), seed)
+        assert 'worlds-differ' not in [
+            finding.code for finding in calibrate(run.a, run.b).findings]

@@ -33,6 +33,7 @@ from trajectory_calibration.assessment.rigid_fit import (
     turn_share,
 )
 from trajectory_calibration.assessment.steadiness import unsteady
+from trajectory_calibration.assessment.two_worlds import two_worlds
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import PosePairs
@@ -48,6 +49,9 @@ _MUCH_LESS = 0.2
 # With less than this share of the misfit of two bodies, no other reading is looked for. With more
 # it may be one: a vehicle that hardly rolls and pitches looks much the same in all of them.
 _LITTLE_LEFT = 0.2
+
+# Radians that a vehicle that stands still turns by its errors.
+_STANDS = np.deg2rad(1.0)
 
 # Beyond these shares of the turns and of the way, over every lag, the two have nothing in common.
 _NO_TURN_SHARED, _NO_WAY_SHARED = 0.5, 0.2
@@ -65,6 +69,8 @@ _INVERTED, _INVERTED_EACH = 1.15, 1.1
 # Seconds of clock offset that are asked about where the offset is not steady along the drive: by
 # so many seconds, and so many times (squared) its errors; the larger ones are no clock's.
 _LARGE_OFFSET = 0.5
+# The largest one that is looked for where the two do not turn together.
+_FAR_OFFSET = 60.0
 _UNSTEADY = ((0.025, 6.0), (0.010, 3.0))
 
 # Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
@@ -97,7 +103,7 @@ def check_pairs(
         _refuse_mirrored(found, pairs, f'{a.sensor_frame} and {b.sensor_frame}')
         _refuse_other_reading(found, pairs, a, b, config)
     if not found.one_body:
-        _refuse_two_bodies(pairs, a, b)
+        _refuse_two_bodies(pairs, a, b, config)
     elif _are_inverted(pairs, a, b):
         raise MotionError(
             f'{a.sensor_frame} and {b.sensor_frame} seem to hold inverted poses (of the world in '
@@ -136,7 +142,8 @@ def check_answer(
     """
     if not config.input_checks:
         return ()
-    return (*one_orientation(T_a_b, pairs, frames), *unsteady(T_a_b, covariance, pairs, frames))
+    return (*one_orientation(T_a_b, pairs, frames), *two_worlds(T_a_b, pairs, frames),
+            *unsteady(T_a_b, covariance, pairs, frames))
 
 
 def short_drive(pairs: PosePairs, metrics: RelativeErrors) -> tuple[Finding, ...]:
@@ -214,9 +221,15 @@ def _reordered(shift: int) -> Read:
 
 
 # What was written, the option that reads it, and the poses as they were meant.
-_ORDERS: tuple[tuple[str, str, Read], ...] = (
+def _conjugated(poses: FloatArray) -> FloatArray:
+    return se3.from_rotation_translation(np.swapaxes(poses[:, :3, :3], 1, 2), poses[:, :3, 3])
+
+
+_ROTATIONS: tuple[tuple[str, str, Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
+    ('rotations of the world in the sensor beside positions of the sensor',
+     'quaternions with x, y and z negated', _conjugated),
 )
 _INVERSE = 'inverted poses (of the world in the sensor)', '--invert{}', se3.inverse
 
@@ -260,7 +273,7 @@ def _other_readings(
         return [(fit, f'does {sensor.sensor_frame} hold {what}', option.format(name))
                 for fit, sensor, name in single if fit is not None]
 
-    for what, option, read in _ORDERS:
+    for what, option, read in _ROTATIONS:
         both = fit_of(read, read)
         if both is not None:
             yield both, f'do both hold {what}', option.format('')
@@ -281,12 +294,12 @@ def _moves_less_inverted(trajectory: Trajectory) -> bool:
     return step > _INVERTED * inverted
 
 
-def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
+def _refuse_two_bodies(
+    pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> None:
     """Raise MotionError where independent errors do not explain what the two do apart."""
     found = list(fits(pairs))
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
-              'clocks (max_time_offset is how far apart they may be)')
     if growth(found, 'turn') > NOT_BY_NOISE or all(
             item.turn_share >= _NO_TURN_SHARED and item.way_share >= _NO_WAY_SHARED
             for item in found):
@@ -294,7 +307,8 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
         raise MotionError(
             f'{frames} did not turn together: over {counted(turned.lag, "pose")} they turn by '
             f'{rounded(np.rad2deg(turned.turn))} deg and apart by '
-            f'{rounded(np.rad2deg(turned.turn_apart))} deg. {advice}')
+            f'{rounded(np.rad2deg(turned.turn_apart))} deg. '
+            f'{_advice_on_turns(turned, pairs, a, b, config)}')
     moved = growth(found, 'way')
     if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
         apart = max(found, key=lambda item: item.way_apart)
@@ -302,6 +316,35 @@ def _refuse_two_bodies(pairs: PosePairs, a: Trajectory, b: Trajectory) -> None:
             f'{frames} turned together, but their positions do not fit one vehicle: apart by '
             f'{rounded(apart.way_apart)} m over {counted(apart.lag, "pose")}, {moved:.1f} times '
             'what noise makes. Check axes and units of both, or use --no-input-checks')
+
+
+def _advice_on_turns(
+    found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> str:
+    """Return what to do about two that did not turn together.
+
+    Clocks may be apart by more than was searched: GPS time and UTC by 18 s, recorders that were
+    started one after the other by as much as their users.
+    """
+    if found.turn < _STANDS:
+        return 'Does the vehicle stand still? Record while it turns and moves'
+    # Turns by themselves may agree where those that fit the ways do not.
+    for finding in two_worlds(np.eye(4), pairs, (a.sensor_frame, b.sensor_frame)):
+        return f'But {finding.text}'
+    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
+              'clocks (max_time_offset is how far apart they may be)')
+    if config.time_offset_mode == 'fixed' or not 0 < config.max_time_offset < _FAR_OFFSET:
+        return advice
+    with suppress(AssociationError):
+        clock, pairs = match(a, b, replace(config, max_time_offset=_FAR_OFFSET))
+        fit = best_fit(pairs)
+        steady = offset_steadiness(a, b, clock)
+        if fit is not None and fit.one_body and steady is not None and (
+                steady.scatter_s < _UNSTEADY[0][0]):
+            return (f'They do with {clock.offset_s:+.2f} s added to the stamps of '
+                    f'{b.sensor_frame}: if their clocks are so far apart (GPS time and UTC: '
+                    f'18 s), set time_offset to {clock.offset_s:.2f}')
+    return advice
 
 
 def _steady(

@@ -62,6 +62,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'systematic-drift': ('note', 'one trajectory drifts steadily; corrected'),
     'time-unit': ('warning', "the steps are no sensor's: another unit of time?"),
     'uncorrected': ('warning', 'a scale, drift or clock offset that this solver cannot correct'),
+    'worlds-differ': ('serious', 'positions and orientations of one sensor are in two worlds'),
     'zhuang-large-rotation': ('note', 'zhuang is inaccurate at large rotations'),
 }
 

@@ -1,0 +1,117 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the positions and the orientations of a sensor are in one world.
+
+An INS that writes its attitude against north-east-down and its position as east-north-up, a yaw
+that counts from another direction than the map does, a magnetic declination: the turns of such
+poses agree with those of the other sensor, and on flat ground the ways do too, with a pose of b
+that is off by the angle between the two worlds. But turns and ways then tell different rotations
+of b in a, and where the ground is not flat both are known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.errors import rounded
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
+
+# Seconds of a motion: over shorter ones, filters of a SLAM look like a rotation of some degrees.
+_LAG_S, _OVERLAPPING, _MOTIONS, _FEWEST = 8.0, 4, 800, 40
+_LONG, _LARGEST_TURN = 2.5, 2.6
+_PARTS, _ROUNDS, _FREEDOM = 12, 10, 4.0
+# Radians of a step, and the share of the information below which a direction is not solved for.
+_STEP, _UNSEEN = 0.5, 1e-8
+# Angles between the two rotations that are none, standard deviations, and the share of what the
+# sensors turned that both saw: on flat ground, pitch and roll are noise. Over 20 real pairs the
+# two differ by up to 3 deg and, where that is more than 1 deg, 4 standard deviations.
+_APART, _SIGMA, _SHARED = np.deg2rad(5.0), 8.0, 0.5
+
+
+def two_worlds(
+    T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str],
+) -> tuple[Finding, ...]:
+    """Return a finding where turns and ways tell different rotations of b in a.
+
+    ``pairs`` have the scale of b corrected.
+    """
+    (lag,) = lag_grid(pairs.stamps_ns, (_LAG_S,), 1.0)
+    count = min(_MOTIONS, _OVERLAPPING * len(pairs) // lag)
+    if count < _FEWEST:
+        return ()
+    motions = select_motions(pairs, f'B{lag}', count)
+    time_s = (pairs.stamps_ns[motions.j] - pairs.stamps_ns[motions.i]) * 1e-9
+    turn = np.maximum(*(se3.rotation_angle(poses[:, :3, :3]) for poses in (motions.A, motions.B)))
+    usable = (time_s < _LONG * np.median(time_s)) & (turn < _LARGEST_TURN)
+    A, B = motions.A[usable], motions.B[usable]
+    if len(A) < _FEWEST:
+        return ()
+    of_turns, turn_variance = _rotation(T_a_b, A, B, by_way=False)
+    of_ways, way_variance = _rotation(T_a_b, A, B, by_way=True)
+    apart = se3.log_so3((of_turns @ of_ways.T)[None])[0]
+    angle = float(np.linalg.norm(apart))
+    if angle < _APART:
+        return ()
+    axis = apart / angle
+    std = float(np.sqrt(axis @ (turn_variance + way_variance) @ axis))
+    if angle < _SIGMA * std or _shared_turning(axis, of_turns, A, B) < _SHARED:
+        return ()
+    return (Finding(
+        'worlds-differ',
+        f'turns and ways tell rotations of {frames[1]} in {frames[0]} that differ by '
+        f'{rounded(np.rad2deg(angle))} deg: are positions and orientations of one of them in two '
+        'worlds (NED and ENU, axes exchanged, yaw from another north)? Write both in one world',
+        {'apart_deg': float(np.rad2deg(angle)), 'std_deg': float(np.rad2deg(std))}),)
+
+
+def _rotation(
+    T_a_b: FloatArray, A: FloatArray, B: FloatArray, *, by_way: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (3, 3) the rotation that turns alone, or ways alone, tell, and its covariance.
+
+    Of turns ``log A = R log B`` or of ways ``v_a + (R_A - I) t = s R v_b``, weighted by Student's
+    distribution; the covariance is the sandwich over parts of the drive.
+    """
+    R, t, scale = T_a_b[:3, :3], T_a_b[:3, 3], 1.0
+    turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
+    lever = A[:, :3, :3] - np.eye(3)
+    parts = np.arange(len(A)) * _PARTS // len(A)
+    covariance = np.zeros((3, 3))
+    for _ in range(_ROUNDS):
+        if by_way:
+            moved = scale * B[:, :3, 3] @ R.T
+            J = np.concatenate([-se3.skew(moved), -lever, moved[:, :, None]], axis=2)
+            left = A[:, :3, 3] + lever @ t - moved
+        else:
+            turned = turn_b @ R.T
+            J, left = -se3.skew(turned), turn_a - turned
+        square = np.sum(left**2, axis=1)
+        variance = max(float(np.median(square)) / 2.37, np.finfo(float).tiny)
+        weighted = ((_FREEDOM + 3) / (_FREEDOM + square / variance) / variance)[:, None, None] * J
+        H = np.einsum('kij,kil->jl', weighted, J)
+        unit = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
+        P = np.linalg.pinv(H / np.outer(unit, unit), rcond=_UNSEEN, hermitian=True) / np.outer(
+            unit, unit)
+        g = np.zeros((_PARTS, len(P)))
+        np.add.at(g, parts, np.einsum('kij,ki->kj', weighted, left))
+        inflation = max(1.0, float(np.trace(P @ (g.T @ g))) / len(P))
+        covariance = P[:3, :3] * inflation
+        step = P @ g.sum(axis=0)
+        step[:3] *= min(1.0, _STEP / max(float(np.linalg.norm(step[:3])), 1e-9))
+        R = se3.exp_so3(step[:3]) @ R
+        if by_way:
+            t, scale = t + step[3:6], scale * float(np.exp(np.clip(step[6], -1.0, 1.0)))
+    return R, covariance
+
+
+def _shared_turning(axis: FloatArray, R: FloatArray, A: FloatArray, B: FloatArray) -> float:
+    """Return which share both sensors saw of the turns that tell the rotation about an axis."""
+    across_a, across_b = (
+        turns - np.outer(turns @ axis, axis)
+        for turns in (se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]) @ R.T))
+    both = float(np.sum(across_a * across_b))
+    return 2 * both / max(float(np.sum(across_a**2) + np.sum(across_b**2)), np.finfo(float).tiny)
