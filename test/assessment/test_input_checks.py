@@ -218,7 +218,7 @@ def test_rotations_of_the_world_beside_positions_of_the_sensor_are_named(name):
 
 def test_both_of_them_are_named_too():
     a, b = pair('drone')
-    with pytest.raises(MotionError, match=r'do both hold rotations of the world .* x, y and z neg'):
+    with pytest.raises(MotionError, match=r'do both hold rotations of the .* x, y and z neg'):
         checked(conjugated(a), conjugated(b))
 
 

@@ -193,3 +193,24 @@ def test_arrays_of_a_notebook():
 def test_seconds_that_are_none(seconds):
     with pytest.raises(TrajectoryError, match='seconds are'):
         Trajectory.from_arrays(seconds, np.eye(3), [[0, 0, 0, 1]] * 3)
+
+
+def test_of_two_recordings_in_one_the_longest_stays():
+    steps = 100_000_000 * np.arange(60)
+    stamps_ns = np.concatenate([steps[:25], steps[:60] + 37])
+    poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
+    poses[:, 0, 3] = np.arange(len(stamps_ns))
+    trajectory = Trajectory(stamps_ns, poses)
+    assert np.array_equal(trajectory.stamps_ns, steps + 37)
+    assert np.array_equal(trajectory.positions[:, 0], np.arange(25, 85))
+    assert 'dropped 25 poses: time began anew' in trajectory.warnings[0]
+
+
+@pytest.mark.parametrize('order', [
+    np.arange(60)[::-1],
+    np.concatenate([np.arange(30, 60), np.arange(30)]),
+    np.random.default_rng(3).permutation(60)])
+def test_poses_of_one_recording_that_are_out_of_order_all_stay(order):
+    stamps_ns = 100_000_000 * np.arange(60)
+    trajectory = Trajectory(stamps_ns[order], np.tile(np.eye(4), (60, 1, 1)))
+    assert np.array_equal(trajectory.stamps_ns, stamps_ns)

@@ -332,3 +332,43 @@ def test_the_sample_of_the_readme_runs_on_what_its_commands_make(tmp_path, monke
 def test_a_format_that_is_none_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"'csv' is unknown; needed one of tum, euroc, kitti"):
         FileSource(tmp_path / 'a', 'csv').load()
+
+
+@pytest.mark.parametrize('word', ['', 'None', 'null', 'NaN', 'N/A'])
+def test_fields_without_a_number_are_poses_that_were_lost(tmp_path, word):
+    path = tmp_path / 'a.csv'
+    rows = ['t,x,y,z,qx,qy,qz,qw', '0,' + ','.join([word] * 7)]
+    rows += [f'{k},{k},0,0,0,0,0,1' for k in range(1, 5)]
+    path.write_text('\n'.join(rows) + '\n', encoding='utf-8')
+    trajectory = FileSource(path).load()
+    assert np.array_equal(trajectory.positions[:, 0], [1, 2, 3, 4])
+    assert trajectory.findings[0].code == 'poses-lost'
+
+
+@pytest.mark.parametrize(('heading', 'words'), [
+    ('t,x,y,z,qx,qy,qz,qw\n', r"line 2, column 1: '2024-05-01T10:00:00' is a date, needed sec"),
+    ('', r'column 1 is no number \(a date\? Write seconds')])
+def test_dates_in_place_of_times_are_named(tmp_path, heading, words):
+    path = tmp_path / 'a.csv'
+    path.write_text(heading + ''.join(
+        f'2024-05-01T10:00:0{k},{k},0,0,0,0,0,1\n' for k in range(5)), encoding='utf-8')
+    with pytest.raises(SourceError, match=words):
+        FileSource(path).load()
+
+
+def test_nanoseconds_from_the_start_ask_for_their_unit(tmp_path):
+    path = tmp_path / 'a.txt'
+    path.write_text(''.join(f'{k}00000000 {k} 0 0 0 0 0 1\n' for k in range(95)), encoding='utf-8')
+    with pytest.raises(SourceError, match='in which unit are the times'):
+        FileSource(path).load()
+    assert FileSource(path, time_unit='ns').load().duration_s == pytest.approx(9.4)
+
+
+def test_two_recordings_in_one_file_are_not_rounded_times(tmp_path):
+    path = tmp_path / 'a.txt'
+    path.write_text(''.join(
+        f'{k / 10} {k + more} 0 0 0 0 0 1\n' for more in (0, 500) for k in range(40 + more // 50)),
+        encoding='utf-8')
+    trajectory = FileSource(path).load()
+    assert len(trajectory) == 50
+    assert 'time began anew' in ' '.join(trajectory.warnings)

@@ -27,6 +27,10 @@ ROTATION_TOLERANCE = 1e-2
 MAX_POSITION = 1e9
 
 
+# Time begins anew where it goes back by more than this, nanoseconds, in parts of so many poses.
+_ANEW_NS, _FEWEST_OF_A_PART = 1_000_000_000, 10
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """The poses of one sensor in the world of its own SLAM; validated once, then read-only.
@@ -242,6 +246,24 @@ def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
             f'{what} are no array of numbers ({error}), needed {needed}') from error
 
 
+def longest_run(stamps_ns: NDArray[np.int64]) -> slice:
+    """Return the longest part of (N,) stamps, where time begins anew and the parts overlap.
+
+    As where two recordings stand in one file, or a simulation was started again: sorted by time,
+    the poses of both would alternate. All of them where rows are only out of order.
+    """
+    edges = np.flatnonzero(np.diff(stamps_ns) < -_ANEW_NS) + 1
+    starts, ends = np.append(0, edges), np.append(edges, len(stamps_ns))
+    if not len(edges) or (ends - starts).min() < _FEWEST_OF_A_PART:
+        return slice(None)
+    order = np.argsort(stamps_ns[starts], kind='stable')
+    overlap = stamps_ns[ends - 1][order][:-1] - stamps_ns[starts][order][1:]
+    if overlap.max() < _ANEW_NS:
+        return slice(None)
+    longest = int(np.argmax(ends - starts))
+    return slice(int(starts[longest]), int(ends[longest]))
+
+
 def _checked_stamps(
     stamps: ArrayLike,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp] | slice, list[str]]:
@@ -269,6 +291,13 @@ def _checked_stamps(
     later, earlier = stamps_ns[1:], stamps_ns[:-1]
     if np.all(later > earlier):
         return stamps_ns, slice(None), []
+    run = longest_run(stamps_ns)
+    if run != slice(None):
+        stamps_ns, order, notes = _checked_stamps(stamps_ns[run])
+        dropped = counted(len(array) - (run.stop - run.start), 'pose')
+        note = (f'dropped {dropped}: time began anew (two recordings in one?), and the longest '
+                'part stays')
+        return array.astype(np.int64), np.arange(len(array))[run][order], [note, *notes]
     notes = []
     backwards = int(np.count_nonzero(later < earlier))
     if backwards:

@@ -191,7 +191,9 @@ def from_numbers(
         # What is wrong with a row of it is a better message than that nothing fits.
         return _USUAL[width].ordered(order)
     if not fitting:
-        raise SourceError(f'{seen}, and no known layout fits{_HINTS.get(width, "")}; say what '
+        hint = ': column 1 is no number (a date? Write seconds since 1970)' if np.isnan(
+            sample[:, 0]).all() else _HINTS.get(width, '')
+        raise SourceError(f'{seen}, and no known layout fits{hint}; say what '
                           f'they are, for instance --columns {_TUM} (- skips a column)')
     if len(fitting) > 1:
         raise SourceError(f'{seen}, which may be {" or ".join(map(Layout.names, fitting))}; say '

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry.se3 import FloatArray
 
 _INT64_MAX = 2**63 - 1
+# What writers of tables put where there is no number.
+_MISSING = {'', 'none', 'null', 'na', 'n/a', 'nat'}
 
 
 class NotANumberError(ValueError):
@@ -60,6 +62,9 @@ def read_columns(
         table = np.loadtxt(lines, np.dtype([('', kind) for kind in kinds]), comments=None,
                            delimiter=separator, ndmin=1)
     except ValueError:
+        known = _without_missing(lines, separator)
+        if known != lines:
+            return read_columns(known, separator, width, columns, time_column, decimals)
         for row, line in enumerate(lines):
             fields = line.split(separator)
             for column in columns:
@@ -79,6 +84,13 @@ def with_times(
         nothing = np.zeros(0, dtype=np.int64)
         return Numbers(values, nothing, nothing, nothing > 0, nothing > 0)
     return Numbers(values, *_times(words, 9 - decimals, column))
+
+
+def _without_missing(lines: list[str], separator: str | None) -> list[str]:
+    """Return the lines with NaN in fields that are empty, or say that there is no number."""
+    return [(separator or ' ').join(
+        'nan' if word.strip().lower() in _MISSING else word for word in line.split(separator))
+        for line in lines]
 
 
 def is_number(word: str) -> bool:
@@ -109,7 +121,8 @@ def _times(words: list[str], exponent: int, column: int) -> tuple[
     scaled, places = [0] * len(words), np.zeros(len(words), dtype=np.intp)
     for row, word in enumerate(words):
         if not is_number(word):
-            raise NotANumberError(row, column, 'is no number')
+            raise NotANumberError(row, column, 'is a date, needed seconds (since 1970)'
+                                  if ':' in word else 'is no number')
         # Not finite, or an exponent that no decimal has.
         finite[row] = False
         with suppress(ArithmeticError, ValueError):
@@ -120,5 +133,6 @@ def _times(words: list[str], exponent: int, column: int) -> tuple[
             places[row] = len(mantissa.strip().partition('.')[2]) - int(power or 0)
             finite[row] = True
         if abs(scaled[row]) > _INT64_MAX:
-            raise NotANumberError(row, column, 'is out of range, the years 1678 to 2262')
+            raise NotANumberError(row, column, 'is out of range, the years 1678 to 2262; '
+                                  'in which unit are the times? Say --time-unit')
     return np.array(scaled, dtype=np.int64), places, finite, exact

@@ -87,8 +87,9 @@ class Table:
                                   'decimals with a point')
             body, line = body.replace(b';', b','), line.replace(b';', b',')
         if line.rstrip().endswith(b','):
-            # A comma after the last field means nothing.
-            body = re.sub(rb',[ \t]*\n', b'\n', body)
+            # A comma behind the last field of all rows means nothing; of some, a field is empty.
+            stripped, count = re.subn(rb',[ \t]*\n', b'\n', body)
+            body = stripped if count == len(numbers) else body
         separator = ',' if b',' in line else None
         table = cls(path, body, numbers, headings, separator, 0, complete)
         counts = [len(row.split(separator)) for row in table.ends()[0]]

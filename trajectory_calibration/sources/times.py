@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.trajectory import longest_run
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import TIME_UNITS
@@ -61,7 +62,7 @@ def judge_seconds(
 
 def _is_better(new: Stamps, old: Stamps) -> bool:
     steps_new, steps_old = np.diff(new).astype(float), np.diff(old).astype(float)
-    if (steps_new <= 0).any():
+    if not len(steps_new) or (steps_new <= 0).any():
         return False
     uneven_new, uneven_old = (
         float(np.mean(np.abs(steps - np.median(steps)))) for steps in (steps_new, steps_old))
@@ -76,6 +77,8 @@ def require_own_stamps(
 
     ``poses`` are (N, ...) numbers. Rows that are repeated as a whole are harmless.
     """
+    run = longest_run(stamps_ns)
+    stamps_ns, poses = stamps_ns[run], poses[run]
     count = len(stamps_ns)
     if (stamps_ns[1:] > stamps_ns[:-1]).all():
         return
@@ -93,8 +96,8 @@ def require_own_stamps(
     step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
     digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
     raise SourceError(
-        f'{name}: {found:,} of {counted(count, "pose")} share their time with another: the times '
-        f'are rounded to {step:.3g} s ({digits} digits); {advice}')
+        f'{name}: {found:,} of {counted(count, "pose")} share their time with another: two '
+        f'sensors in one, or the times are rounded to {step:.3g} s ({digits} digits); {advice}')
 
 
 def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
