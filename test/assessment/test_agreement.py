@@ -84,7 +84,7 @@ def test_a_wrong_unit_is_not_taken_for_two_vehicles(solver, unit):
 def test_two_vehicles_are_accused_of_no_mistaken_convention(seeds):
     for seed in range(seeds):
         a, b = simulate(DRIVE, seed).a, simulate(DRIVE, seed + 50).b
-        with pytest.raises(MotionError, match='check the topics or files'):
+        with pytest.raises(MotionError, match='Check the topics or files'):
             calibrate(a, b, CalibrationConfig(solver='park', reference='B5'))
 
 

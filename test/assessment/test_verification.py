@@ -150,3 +150,11 @@ def test_a_component_that_a_prior_fixes_can_be_compared():
     assert difference((T, P), (se3.moved(T, [1e-3] * 6), P), CONFIG).differs
     moved = difference((T, P), (se3.moved(T, [0.1] + [1e-9] * 5), P), CONFIG)
     assert moved.describe() == '+0.100 m along x (> 1000 sigma)'
+
+
+def test_one_trajectory_given_twice_confirms_nothing():
+    result = calibrate(*noisy_pair(1, np.eye(4)), CONFIG)
+    one = noisy_pair(2, np.eye(4))[0]
+    found = verify(result, one, dataclasses.replace(one, sensor_frame='camera'))
+    assert (found.verdict, found.exit_status) == ('cannot tell', 3)
+    assert 'identical poses' in found.describe()

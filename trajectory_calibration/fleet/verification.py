@@ -47,6 +47,9 @@ _HARDLY = 0.2
 # across: the vehicle turned about that axis only.
 _SINGLE = 0.3
 
+# Findings of data whose answer confirms nothing and contradicts nothing.
+_NO_EVIDENCE = {'orientations-identical', 'poses-identical', 'worlds-differ'}
+
 
 @dataclass(frozen=True, eq=False)
 class Verification:
@@ -181,8 +184,9 @@ def verify(
         found = calibrate(trajectory_a, trajectory_b, config)
     except (AssociationError, MotionError, SolverError) as error:
         return cannot_tell(str(error))
-    if found.covariance is None:
-        return cannot_tell('the solver gave no covariance')
+    reasons = [finding.text for finding in found.findings if finding.code in _NO_EVIDENCE]
+    if found.covariance is None or reasons:
+        return cannot_tell(' '.join(reasons) or 'the solver gave no covariance')
     old, new = (result.T_a_b, result.covariance), (found.T_a_b, found.covariance)
     step = difference(old, new, config, probability)
     if step.differs and _is_inverse(old, new, config):
