@@ -300,8 +300,8 @@ def test_fractions_without_trailing_zeros_are_not(tmp_path, digits, rate):
 
 @pytest.mark.parametrize(('digits', 'message'), [
     (6, r'all 30 poses have the same time, 1.7e\+09 s; needed the time of each pose'),
-    (9, (r'26 of 30 poses share their time with another: the times are rounded to 1 s '
-         r'\(10 digits\); write them with nine decimals'))])
+    (9, (r'26 of 30 poses share their time with another: two sensors in one, or the times are '
+         r'rounded to 1 s \(10 digits\); write them with nine decimals'))])
 def test_times_that_were_rounded_are_named(tmp_path, digits, message):
     times = [f'{stamp * 1e-9:.{digits}e}' for stamp in STAMPS_NS.tolist()]
     with pytest.raises(SourceError, match=message):

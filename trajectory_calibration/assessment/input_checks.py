@@ -342,8 +342,8 @@ def _advice_on_turns(
         if fit is not None and fit.one_body and steady is not None and (
                 steady.scatter_s < _UNSTEADY[0][0]):
             return (f'They do with {clock.offset_s:+.2f} s added to the stamps of '
-                    f'{b.sensor_frame}: if their clocks are so far apart (GPS time and UTC: '
-                    f'18 s), set time_offset to {clock.offset_s:.2f}')
+                    f'{b.sensor_frame}. If their clocks are so far apart (GPS time and UTC: '
+                    f'18 s), set time_offset to {clock.offset_s:.2f}, or raise max_time_offset')
     return advice
 
 

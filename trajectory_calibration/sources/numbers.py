@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry.se3 import FloatArray
 
 _INT64_MAX = 2**63 - 1
+# What tells a date, or a time of day, from a number: 10:15.
+_CLOCK = re.compile(r'\d:\d\d')
 # What writers of tables put where there is no number.
 _MISSING = {'', 'none', 'null', 'na', 'n/a', 'nat'}
 
@@ -122,7 +125,7 @@ def _times(words: list[str], exponent: int, column: int) -> tuple[
     for row, word in enumerate(words):
         if not is_number(word):
             raise NotANumberError(row, column, 'is a date, needed seconds (since 1970)'
-                                  if ':' in word else 'is no number')
+                                  if _CLOCK.search(word) else 'is no number')
         # Not finite, or an exponent that no decimal has.
         finite[row] = False
         with suppress(ArithmeticError, ValueError):
