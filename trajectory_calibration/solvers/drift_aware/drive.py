@@ -174,9 +174,16 @@ def correct(drive: Drive, state: State) -> Corrected:
     return Corrected(
         R_ax=R_a @ R_x,
         p_ax=R_a @ t_x + p_a,
-        by_offset=drive.twist_a @ np.block([[R_x, np.zeros((3, 3))], [skew(t_x) @ R_x, R_x]]),
+        by_offset=twists_b(drive, state.T_a_b),
         p_b=by_terms[:, :, 0] + by_terms[:, :, 1:4] @ drift + latency * drive.velocity_b,
         by_terms=by_terms)
+
+
+def twists_b(drive: Drive, T_a_b: FloatArray) -> FloatArray:
+    """Return (N, 6) the twists of b in its own axes, as those of a tell them, m/s and rad/s."""
+    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+    result: FloatArray = drive.twist_a @ np.block([[R, np.zeros((3, 3))], [skew(t) @ R, R]])
+    return result
 
 
 def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:

@@ -20,15 +20,16 @@ from trajectory_calibration.solvers.drift_aware.drive import (
     State,
 )
 from trajectory_calibration.solvers.drift_aware.jumps import find_jumps
-from trajectory_calibration.solvers.drift_aware.noise import first_noise, improved, Noise
+from trajectory_calibration.solvers.drift_aware.noise import Noise
 from trajectory_calibration.solvers.drift_aware.octaves import Octaves, saturation, scores
 from trajectory_calibration.solvers.drift_aware.spread import inflation
 from trajectory_calibration.solvers.drift_aware.tree import contrast, Contrasts, Plan, plan
+from trajectory_calibration.solvers.drift_aware.variances import first_noise, improved
 
 # Rounds in which jumps and the tails are looked for, in which rho is found, and the most there
 # are: later ones only settle.
 _JUMP_ROUNDS = 3
-_TAIL_ROUNDS = (2, 4)
+_TAIL_ROUNDS = (2, 4, 6)
 _FIRST_RHO, _LAST_RHO = 2, 6
 _MOST_ROUNDS = 16
 # The same where a fit to fewer poses came before.
@@ -122,8 +123,7 @@ def fit(
         prior = prior_precision(state.terms, modes)
         free = np.isfinite(prior)
         prior = np.where(free, prior, 1.0)
-        found = contrast(drive, state, tree, noise.of_pose(state.T_a_b), noise.walk,
-                         noise.of_scale(len(noise.walk)), jumps, weights)
+        found = contrast(drive, state, tree, noise, jumps, weights)
         if not free.all():
             found = replace(found, J=found.J * free)
         if round_ in _TAIL_ROUNDS:

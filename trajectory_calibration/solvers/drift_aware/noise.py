@@ -1,25 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The variances of the tree, by restricted likelihood beside the extrinsic.
+"""The noise of a drive: of poses, and of the worlds of its windows.
 
-For contrasts ``d ~ N(J dx, V)`` whose covariance is linear in variances s, ``dV/ds_i = E_i``,
-the restricted log likelihood has score and information
-
-    score_i = 1/2 sum [ e' V^-1 E_i V^-1 e - tr V^-1 E_i + tr V^-1 E_i V^-1 J A^-1 J' ]
-    information_ij = 1/2 sum tr(V^-1 E_i V^-1 E_j)
-
-(the last part of the score: parameters that were fitted take their share of the squares). One
-step of Fisher scoring a round; variances stay at least zero. The white noise is told by
-neighbouring poses (octave 0), the noise between worlds by its own octave. An octave of few
-contrasts is drawn towards what the one below it tells: noise grows there by ``_GROWTH``.
-
-The scale of a sensor is not only off but varies on the way: worlds differ in it too. That noise
-goes along with the distance moved, ``E = j j'`` with j the derivative of d in the log scale. All
-octaves tell its one variance, under a half-Cauchy prior of the deviation as wide as that of the
-scale itself.
-
-D. A. Harville, "Maximum likelihood approaches to variance component estimation and to related
-problems", JASA 72(358), 1977, doi:10.1080/01621459.1977.10480998.
+White noise of a pose is half on each sensor. What its stamps are off by is noise too, along the
+twist. Between the worlds of neighbouring windows there is noise of each octave. And the scale of
+a sensor is not only off but varies on the way: worlds differ in it too, which is noise along the
+distance moved.
 """
 
 from __future__ import annotations
@@ -27,52 +13,28 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import (
     adjoint_of_inverse,
-    apply,
     ROTATION,
-    solved,
     TRANSLATION,
-    transposed,
 )
-from trajectory_calibration.solvers.drift_aware.drive import (
-    correct,
-    Drive,
-    HALF_WIDTH,
-    residuals,
-    SCALE,
-    State,
-)
-from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
-_PARTS = (TRANSLATION, ROTATION)
+PARTS = (TRANSLATION, ROTATION)
 
-# Variances of noise-free data end here: (1e-11)^2 metres and radians.
-_LEAST = 1e-22
-# One kind of noise is at least this part of the other (variance, over the extent of the drive).
-_RATIO = 1e-9
-# A drive has at least that extent, metres: one sensor may turn on the spot.
-_SMALLEST_EXTENT = 1e-3
-
-# How many contrasts the extrapolation from the octave below counts for, and how the variance
-# grows on the way: between flicker (1) and a random walk (2).
-_PRIOR_CONTRASTS = 24
-_GROWTH = 1.4
-
-# A round changes the white noise by no more than this factor.
-_LARGEST_CHANGE = 20.0
+# How variances grow from octave to octave: between flicker (1) and a random walk (2).
+GROWTH = 1.4
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Variances of (translation, rotation).
+    """Variances, those with two columns of (translation, rotation).
 
     Attributes
     ----------
     white : (2,) of a pose, both sensors together, per axis.
+    stamps : of the stamps of a pose, s^2.
     walk : (octaves, 2) between the worlds of neighbouring windows.
     scale : of the log scale between the worlds of neighbouring windows, octave 1.
     tail : degrees of freedom of the contrasts.
@@ -80,6 +42,7 @@ class Noise:
     """
 
     white: FloatArray
+    stamps: float
     walk: FloatArray
     scale: float
     tail: float
@@ -94,21 +57,28 @@ class Noise:
         """Return the noise between worlds where that many octaves are added below."""
         below = self.walk[1:2] / 2.0**np.arange(octaves, 0, -1)[:, None]
         return replace(self, walk=np.concatenate([0 * self.walk[:1], below, self.walk[1:]]),
-                       scale=self.scale / _GROWTH**octaves)
+                       scale=self.scale / GROWTH**octaves)
 
-    def of_pose(self, T_a_b: FloatArray) -> FloatArray:
-        """Return (6, 6) of a pose in the axes of b."""
-        return np.tensordot(self.white, units(T_a_b), axes=1)
+    def of_poses(self, T_a_b: FloatArray, twists: FloatArray) -> FloatArray:
+        """Return (N, 6, 6) in the axes of b, of poses with (N, 6) twists."""
+        result: FloatArray = np.tensordot(self.white, units(T_a_b), axes=1) + along(
+            np.sqrt(self.stamps) * twists)
+        return result
 
     def of_scale(self, octaves: int) -> FloatArray:
         """Return (octaves,) the variances of the log scale between worlds."""
-        return self.scale * _scale_growth(octaves)
+        return self.scale * scale_growth(octaves)
 
 
-def _scale_growth(octaves: int) -> FloatArray:
+def scale_growth(octaves: int) -> FloatArray:
     """Return (octaves,) the variance of the scale over that of octave 1; poses have none."""
     k = np.arange(octaves)
-    return np.where(k > 0, _GROWTH**(k - 1.0), 0.0)
+    return np.where(k > 0, GROWTH**(k - 1.0), 0.0)
+
+
+def along(directions: FloatArray) -> FloatArray:
+    """Return (n, 6, 6), the covariance of noise along (n, 6) directions."""
+    return directions[:, :, None] * directions[:, None, :]
 
 
 def units(T_a_b: FloatArray) -> FloatArray:
@@ -118,115 +88,7 @@ def units(T_a_b: FloatArray) -> FloatArray:
     """
     Ad = adjoint_of_inverse(T_a_b[None, :3, :3], T_a_b[None, :3, 3])[0]
     result = np.zeros((2, 6, 6))
-    for unit, part in zip(result, _PARTS, strict=True):
+    for unit, part in zip(result, PARTS, strict=True):
         unit[part, part] = np.eye(3)
         unit[:] = 0.5 * (unit + Ad @ unit @ Ad.T)
     return result
-
-
-def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]) -> Noise:
-    """Return white noise as the median step has it, and none that walks."""
-    i = np.flatnonzero(~cut)
-    e = residuals(drive, correct(drive, state), i, i + 1)
-    white = [0.65 * np.median((e[:, part]**2).mean(axis=1)) for part in _PARTS]
-    return Noise(_balanced(np.array(white), drive), np.zeros((octaves, 2)), 0.0, 5.0)
-
-
-def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
-    """Return the (2,) variances, neither so small that what the other tells drowns in rounding."""
-    extent = _SMALLEST_EXTENT**2 + max(
-        float((p**2).sum(axis=1).max()) for p in (drive.p_a, drive.p_b))
-    translation = max(white[0], _LEAST, _RATIO * white[1] * extent)
-    return np.array([translation, max(white[1], _LEAST, _RATIO * translation / extent)])
-
-
-def improved(
-    noise: Noise,
-    drive: Drive,
-    state: State,
-    tree: Plan,
-    found: Contrasts,
-    weights: FloatArray,
-    cut: NDArray[np.bool_],
-    normal: FloatArray,
-) -> Noise:
-    """Return the noise after a step of Fisher scoring; ``normal`` is A, (12, 12)."""
-    e = apply(found.inverse, found.d)
-    whitened = found.inverse @ found.J
-    # Half the derivative of the restricted log likelihood in V.
-    slope = (weights[:, None, None] * (
-        e[:, :, None] * e[:, None, :]
-        + whitened @ solved(normal, np.eye(len(normal))) @ transposed(whitened))
-        - found.inverse)
-    slope[cut[tree.boundary - 1]] = 0.0
-    used = ~cut[tree.boundary - 1]
-    lowest = slice(0, tree.first[1] if len(tree.first) > 1 else None)
-    white = _improved_white(noise, drive, state, tree, found, slope, used, lowest)
-    walk = _improved_walk(noise, tree, found, slope, used)
-    scale = _improved_scale(noise, tree, found, slope, used)
-    return Noise(white, walk, scale, noise.tail)
-
-
-def _improved_white(
-    noise: Noise, drive: Drive, state: State, tree: Plan, found: Contrasts, slope: FloatArray,
-    used: NDArray[np.bool_], lowest: slice,
-) -> FloatArray:
-    """Fit the white noise to the contrasts of the lowest octave."""
-    j = tree.boundary[lowest][used[lowest]]
-    if not len(j):
-        return noise.white
-    inverse, slope = found.inverse[lowest][used[lowest]], slope[lowest][used[lowest]]
-    back = transposed(drive.R_b[j - 1])
-    way = np.exp(state.terms[0]) * drive.step_b[j - 1]
-    Ad = adjoint_of_inverse(back @ drive.R_b[j], way)
-    unit = units(state.T_a_b)
-    E = [one + Ad @ one @ transposed(Ad) for one in unit]
-    by = [inverse @ one for one in E]
-    score = np.array([(slope * one).sum() for one in E])
-    information = np.array([[(x * transposed(y)).sum() for y in by] for x in by])
-    step = solved(information, score)
-    white: FloatArray = np.clip(
-        noise.white + step, noise.white / _LARGEST_CHANGE, noise.white * _LARGEST_CHANGE)
-    return _balanced(white, drive)
-
-
-def _improved_walk(
-    noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
-) -> FloatArray:
-    """Fit the noise between worlds to the contrasts of each octave above the lowest."""
-    octaves = tree.octaves
-
-    def total(values: FloatArray) -> FloatArray:
-        sums = np.bincount(tree.octave, np.where(used, values, 0.0), octaves)
-        return np.asarray(sums, dtype=np.float64)
-
-    score = np.stack([total(np.trace(slope[:, part, part], axis1=1, axis2=2))
-                      for part in _PARTS], axis=-1)
-    information = np.stack([np.stack([
-        total((found.inverse[:, one, two]**2).sum(axis=(1, 2))) for two in _PARTS], axis=-1)
-        for one in _PARTS], axis=-1)
-    counts = total(np.ones(len(used)))
-    walk = noise.resized(octaves).walk.copy()
-    walk[0] = 0.0
-    for octave in range(1, octaves):
-        expected = _GROWTH * walk[octave - 1]
-        if not counts[octave]:
-            walk[octave] = expected
-            continue
-        own = information[octave]
-        prior = np.diag(np.diag(own)) * _PRIOR_CONTRASTS / counts[octave]
-        step = solved(own + prior, score[octave] + prior @ (expected - walk[octave]))
-        walk[octave] = np.maximum(walk[octave] + step, 0.0)
-    return walk
-
-
-def _improved_scale(
-    noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
-) -> float:
-    """Fit the variance of the scale to the contrasts of all octaves."""
-    growth = np.where(used, _scale_growth(tree.octaves)[tree.octave], 0.0)
-    j = found.J[:, :, SCALE]
-    score = float(growth @ (j * apply(slope, j)).sum(axis=1))
-    information = float(growth**2 @ (j * apply(found.inverse, j)).sum(axis=1)**2)
-    score -= 1.0 / (HALF_WIDTH[SCALE - 6]**2 + noise.scale)
-    return max(0.0, noise.scale + score / information) if information > 0 else 0.0

@@ -56,6 +56,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
     SCALE,
     State,
 )
+from trajectory_calibration.solvers.drift_aware.noise import along, Noise
 
 Indices = NDArray[np.intp]
 _IDENTITY = np.eye(6)
@@ -249,39 +250,33 @@ def contrast(
     drive: Drive,
     state: State,
     tree: Plan,
-    white: FloatArray,
-    walk: FloatArray,
-    scale: FloatArray,
+    noise: Noise,
     jumps: FloatArray,
     weights: FloatArray,
 ) -> Contrasts:
     """Go up the tree.
 
-    ``white`` is (6, 6), the covariance of the noise of a pose of both sensors in the axes of b;
-    ``walk`` (octaves, 2), the variance of translation and rotation between worlds of an octave,
-    ``scale`` (octaves,) that of their log scale;
-    ``jumps`` (N - 1, 2), what is added to that across each step; ``weights`` (n,), of the
+    ``jumps`` (N - 1, 2), the variances that are added across each step; ``weights`` (n,), of the
     contrasts in the order of the plan, of which at most one counts here.
-
     """
     at = correct(drive, state)
     N, n = len(drive), len(tree.octave)
     J = np.zeros((N, 6, PARAMETERS))
     J[:, :, :6] = _IDENTITY
     J[:, :, OFFSET] = at.by_offset
-    worlds = _Worlds(at.R_ax, at.p_ax, J, np.broadcast_to(white, (N, 6, 6)))
+    worlds = _Worlds(at.R_ax, at.p_ax, J, noise.of_poses(state.T_a_b, at.by_offset))
     moves = _Moves.of(at, tree)
     # All in the order of the rounds.
-    noise, trusted, of_scale = np.zeros((n, 6, 6)), np.empty((n, 1, 1)), np.empty((n, 1, 1))
-    variance = walk[tree.octave] + jumps[tree.boundary - 1]
-    noise[tree.order[:, None], _DIAGONAL, _DIAGONAL] = np.repeat(variance, 3, axis=1)
+    D, trusted, of_scale = np.zeros((n, 6, 6)), np.empty((n, 1, 1)), np.empty((n, 1, 1))
+    variance = noise.walk[tree.octave] + jumps[tree.boundary - 1]
+    D[tree.order[:, None], _DIAGONAL, _DIAGONAL] = np.repeat(variance, 3, axis=1)
     trusted[tree.order, 0, 0] = np.minimum(weights, 1.0)
-    of_scale[tree.order, 0, 0] = scale[tree.octave]
+    of_scale[tree.order, 0, 0] = noise.of_scale(tree.octaves)[tree.octave]
     d, J, V, inverse = (np.empty((n, 6, *columns)) for columns in (
         (), (PARAMETERS,), (6,), (6,)))
     for level in tree.levels:
         rows = level.rows
-        worlds = _merge(moves, worlds, level, noise[rows], of_scale[rows], trusted[rows],
+        worlds = _merge(moves, worlds, level, D[rows], of_scale[rows], trusted[rows],
                         (d[rows], J[rows], V[rows], inverse[rows]))
     d, J, V, inverse = (values[tree.order] for values in (d, J, V, inverse))
     return Contrasts(d, J, V, inverse, (d * apply(inverse, d)).sum(axis=1))
@@ -299,8 +294,7 @@ def _merge(
     back = np.ascontiguousarray(transposed(one.R))
     d[:, TRANSLATION], d[:, ROTATION] = apply(back, two.p - one.p), log(back @ two.R)
     np.subtract(two.J, one.J, out=J)
-    along = J[:, :, SCALE, None]
-    D = D + of_scale * (along * transposed(along))
+    D = D + of_scale * along(J[:, :, SCALE])
     np.add(one.P, two.P, out=V)
     V += D
     inverse[:] = np.linalg.inv(V)
