@@ -77,7 +77,7 @@ def scale_growth(octaves: int) -> FloatArray:
 
 
 def along(directions: FloatArray) -> FloatArray:
-    """Return (n, 6, 6), the covariance of noise along (n, 6) directions."""
+    """Return the (n, 6, 6) covariances of noise in (n, 6) directions."""
     return directions[:, :, None] * directions[:, None, :]
 
 
