@@ -197,7 +197,8 @@ def test_files_and_bags_are_read_and_calibrated_with_numpy_alone(tmp_path):
         '        sys.stdout.flush()\n'
         '        os._exit(any(found))\n'
         '    status = os.waitpid(child, 0)[1]\n'
-        '    print("without", module, status)\n')
+        # What is not flushed, the next copy would write again.
+        '    print("without", module, status, flush=True)\n')
     done = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stderr) == (0, '')

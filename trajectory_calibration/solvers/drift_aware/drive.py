@@ -81,7 +81,7 @@ class Drive:
     R_a, p_a, R_b, p_b : (N, 3, 3) attitudes and (N, 3) positions about the first, in the worlds.
     step_b : (N - 1, 3) the way of b from pose to pose, in its own axes before it.
     axes_b : (N - 1, 3, 3) the mean attitude of b on the way of each step.
-    velocity_b : (N, 3) of b in its world, m/s; zero beside gaps.
+    velocity_b, acceleration_b : (N, 3) of b in its world, m/s and m/s^2; zero beside gaps.
     twist_a : (N, 6) of a in its own axes, m/s and rad/s; zero beside gaps.
     gap : (N - 1,) bool, whether nothing is known of a step.
 
@@ -95,6 +95,7 @@ class Drive:
     step_b: FloatArray
     axes_b: FloatArray
     velocity_b: FloatArray
+    acceleration_b: FloatArray
     twist_a: FloatArray
     gap: NDArray[np.bool_]
 
@@ -122,19 +123,22 @@ class Drive:
         after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
         known = ~(np.r_[False, gap] | np.r_[gap, False])
         rate = (known / (times[after] - times[before]))[:, None]
+        velocity_b = rate * (p_b[after] - p_b[before])
         spin = log(transposed(R_a[before]) @ R_a[after])
         return cls(
             times, R_a, p_a, R_b, p_b,
             step_b=apply(transposed(R_b[:-1]), np.diff(p_b, axis=0)),
             axes_b=axes_b,
-            velocity_b=rate * (p_b[after] - p_b[before]),
+            velocity_b=velocity_b,
+            acceleration_b=rate * (velocity_b[after] - velocity_b[before]),
             twist_a=rate * np.c_[apply(transposed(R_a), p_a[after] - p_a[before]), spin],
             gap=gap)
 
     def scaled(self, scale: float) -> Drive:
         """Return the drive with the lengths of b multiplied."""
         return replace(self, p_b=scale * self.p_b, step_b=scale * self.step_b,
-                       velocity_b=scale * self.velocity_b)
+                       velocity_b=scale * self.velocity_b,
+                       acceleration_b=scale * self.acceleration_b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +174,13 @@ def correct(drive: Drive, state: State) -> Corrected:
     by_terms = np.empty((len(drive), 3, 5))
     by_terms[:, :, 0] = scale * drive.p_b
     by_terms[:, :, 1:4] = _drifted(drive, scale, drift)
-    by_terms[:, :, 4] = drive.velocity_b
+    by_terms[:, :, 4] = drive.velocity_b + latency * drive.acceleration_b
     return Corrected(
         R_ax=R_a @ R_x,
         p_ax=R_a @ t_x + p_a,
         by_offset=twists_b(drive, state.T_a_b),
-        p_b=by_terms[:, :, 0] + by_terms[:, :, 1:4] @ drift + latency * drive.velocity_b,
+        p_b=by_terms[:, :, 0] + by_terms[:, :, 1:4] @ drift + latency * (
+            drive.velocity_b + 0.5 * latency * drive.acceleration_b),
         by_terms=by_terms)
 
 
