@@ -55,6 +55,9 @@ _OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
 _GAP_S = 1.0
 _GAP_STEPS = 5
 
+# Accelerations are told over this time before and after, seconds: closer poses would tell noise.
+_ACCELERATION_S = 0.2
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -123,14 +126,13 @@ class Drive:
         after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
         known = ~(np.r_[False, gap] | np.r_[gap, False])
         rate = (known / (times[after] - times[before]))[:, None]
-        velocity_b = rate * (p_b[after] - p_b[before])
         spin = log(transposed(R_a[before]) @ R_a[after])
         return cls(
             times, R_a, p_a, R_b, p_b,
             step_b=apply(transposed(R_b[:-1]), np.diff(p_b, axis=0)),
             axes_b=axes_b,
-            velocity_b=velocity_b,
-            acceleration_b=rate * (velocity_b[after] - velocity_b[before]),
+            velocity_b=rate * (p_b[after] - p_b[before]),
+            acceleration_b=_accelerations(times, p_b, gap),
             twist_a=rate * np.c_[apply(transposed(R_a), p_a[after] - p_a[before]), spin],
             gap=gap)
 
@@ -139,6 +141,20 @@ class Drive:
         return replace(self, p_b=scale * self.p_b, step_b=scale * self.step_b,
                        velocity_b=scale * self.velocity_b,
                        acceleration_b=scale * self.acceleration_b)
+
+
+def _accelerations(
+    times: FloatArray, positions: FloatArray, gap: NDArray[np.bool_],
+) -> FloatArray:
+    """Return (N, 3), zero at the ends and beside gaps."""
+    k = int(np.ceil(_ACCELERATION_S / np.median(np.diff(times))))
+    result = np.zeros_like(positions)
+    if len(times) > 2 * k:
+        gaps = np.concatenate([[0], np.cumsum(gap)])
+        velocity = (positions[k:] - positions[:-k]) / (times[k:] - times[:-k])[:, None]
+        rate = 2 * (gaps[2 * k:] == gaps[:-2 * k]) / (times[2 * k:] - times[:-2 * k])
+        result[k:-k] = rate[:, None] * (velocity[k:] - velocity[:-k])
+    return result
 
 
 @dataclass(frozen=True, eq=False)
