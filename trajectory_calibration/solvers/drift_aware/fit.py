@@ -150,10 +150,10 @@ def fit(
 
 
 def _carried(noise: Noise, before: Fit, drive: Drive) -> Noise:
-    """Return the noise with what a fit to every k-th pose found between worlds."""
+    """Return the noise of poses, with what a fit to every k-th found between worlds."""
     shift = round(np.log2((len(drive) - 1) / (len(before.drive) - 1)))
     carried = before.noise.refined(shift).resized(len(noise.walk))
-    return replace(carried, white=noise.white)
+    return replace(carried, white=noise.white, stamps=noise.stamps)
 
 
 def _cuts(jumps: FloatArray) -> NDArray[np.bool_]:
