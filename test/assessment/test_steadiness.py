@@ -11,6 +11,9 @@ from trajectory_calibration import calibrate
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import SCENARIOS, simulate
 
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = pytest.mark.once
+
 RUN = simulate(replace(SCENARIOS['offroad'], duration=80.0), 5)
 AT = 0.5
 

@@ -27,6 +27,9 @@ from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import Sensor
 
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = pytest.mark.once
+
 SLAM = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
 FREE = {'mono': SensorSettings(scale='free')}
 

@@ -23,6 +23,9 @@ from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import random_pose, Sensor
 
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = pytest.mark.once
+
 LIMITS = limits_of(CalibrationConfig())
 SLAM = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
 LEVEL = Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat)

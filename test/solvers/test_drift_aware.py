@@ -344,6 +344,7 @@ def test_thinned_first_then_all_poses():
     np.testing.assert_allclose(solution.diagnosis.white_m, 0.01, rtol=0.1)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize('name, minutes', [('drone', 30), ('offroad', 65)])
 def test_a_steady_drift_of_a_long_drive_is_counted_along_the_way(name, minutes):
     """Steps of a second or nearly, in which the vehicle turns."""
