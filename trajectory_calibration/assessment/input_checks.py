@@ -41,6 +41,7 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, counted, MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.solvers import solver_info, solvers_that_estimate
 from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import Clock
 
@@ -124,8 +125,9 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
     share = turn_share(pairs, best.lag, T_a_b[:3, :3])
     if share <= best.turn_share + _WORSE_FIT:
         return
-    scale = ('give it (scale)' if solver == 'drift_aware' else
-             'give it (scale), or use solver drift_aware, which finds it')
+    scale = 'give it (scale)'
+    if 'scale' not in solver_info(solver).estimates:
+        scale += f', or use solver {" or ".join(solvers_that_estimate("scale"))}, which finds it'
     raise MotionError(
         f'the rotation that {solver} found does not fit: half of the rotations differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
@@ -220,11 +222,11 @@ def _reordered(shift: int) -> Read:
     return read
 
 
-# What was written, the option that reads it, and the poses as they were meant.
 def _conjugated(poses: FloatArray) -> FloatArray:
     return se3.from_rotation_translation(np.swapaxes(poses[:, :3, :3], 1, 2), poses[:, :3, 3])
 
 
+# What was written, the option that reads it, and the poses as they were meant.
 _ROTATIONS: tuple[tuple[str, str, Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),

@@ -27,7 +27,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers import load_solver, solver_info
+from trajectory_calibration.solvers import load_solver, noise_identifier, solver_info
 
 # A rotation counts by what it moves at this distance, metres.
 _DISTANCE = 1.0
@@ -83,7 +83,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
         known = most_likely(pairs, config)
         if config.input_checks:
             # What is refused as an answer is none to judge others by.
-            require_fit(known.T_a_b, pairs, ('a', 'b'), 'drift_aware')
+            require_fit(known.T_a_b, pairs, ('a', 'b'), noise_identifier().name)
     except (MotionError, SolverError) as error:
         # Whether the motion is enough is for the solver that was asked for to say.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')

@@ -139,6 +139,7 @@ def _largest_change(H: FloatArray, g: FloatArray) -> _Change:
     """Return the change at the cut where what is before and behind it differs most."""
     unit = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit
+    of_parts = _inverse(H)
     found = []
     for cut in range(2, _PARTS - 1):
         answers, scatter = [], 0.0
@@ -146,8 +147,8 @@ def _largest_change(H: FloatArray, g: FloatArray) -> _Change:
             P = _inverse(H[side].sum(axis=0))
             x = P @ g[side].sum(axis=0)
             answers.append((x, P))
-            scatter += sum(float(rest @ _inverse(of_part) @ rest) for of_part, rest in zip(
-                H[side], g[side] - H[side] @ x, strict=True))
+            scatter += sum(float(rest @ of_part @ rest) for of_part, rest in zip(
+                of_parts[side], g[side] - H[side] @ x, strict=True))
         # By how much parts scatter more than the noise of single motions lets them.
         inflation = max(scatter / (_UNKNOWNS * (_PARTS - 2)), 1.0)
         step, variance = answers[1][0] - answers[0][0], answers[0][1] + answers[1][1]
@@ -158,5 +159,5 @@ def _largest_change(H: FloatArray, g: FloatArray) -> _Change:
 
 
 def _inverse(H: FloatArray) -> FloatArray:
-    """Return the inverse of a symmetric matrix in the directions that it says something of."""
+    """Return the inverse of symmetric matrices in the directions that they say something of."""
     return np.asarray(np.linalg.pinv(H, rcond=_UNSEEN, hermitian=True), dtype=np.float64)

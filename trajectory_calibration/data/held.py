@@ -34,9 +34,11 @@ def without_held(trajectory: Trajectory) -> tuple[Trajectory, tuple[Finding, ...
 
     Itself where there are none. The finding says how many were dropped.
     """
-    turns = np.linalg.norm(trajectory.turns, axis=1)
     steps = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
     same_turn = (np.diff(trajectory.rotations, axis=0) == 0).all(axis=(1, 2))
+    if steps.all() and not same_turn.any():
+        return trajectory, ()
+    turns = np.linalg.norm(trajectory.turns, axis=1)
     held = {
         'position': _held(trajectory.positions, steps, steps == 0),
         'orientation': _held(

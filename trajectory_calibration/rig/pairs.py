@@ -22,6 +22,7 @@ from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.settings import RigConfig
+from trajectory_calibration.solvers import solver_info
 
 # Up to this many sensors every pair is calibrated.
 _EVERY_PAIR = 4
@@ -83,7 +84,7 @@ def sorted_out(
 def _calibrated(task: _Task) -> PairAnswer | PairFailure:
     parent, child, a, b, config = task
     settings = replace(config.calibration, allow_unobserved=True)
-    if config.of(child).scale == 'free' and settings.solver == 'drift_aware':
+    if config.of(child).scale == 'free' and 'scale' in solver_info(settings.solver).estimates:
         settings = replace(settings, scale_mode='estimate', scale=1.0)
     try:
         return PairAnswer(parent, child, calibrate(a, b, settings))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of all parameters: information, prior and the sandwich over blocks."""
+"""The answer with the covariance of all parameters: information, prior, sandwich over blocks."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def _latency(fit: Fit) -> tuple[FloatArray, float]:
     return step, max(0.0, 1 / float(p @ (x - mean)**2) - told)
 
 
-def settled(fit: Fit) -> State:
-    """Return the state with the mean latency in place of the likeliest, others following it."""
-    return fit.state.moved(_latency(fit)[0])
+def posterior(fit: Fit) -> tuple[State, FloatArray]:
+    """Return the answer and its (12, 12) covariance, of all parameters; fixed ones have none.
 
-
-def covariance(fit: Fit) -> FloatArray:
-    """Return (12, 12), of all parameters about the truth; fixed ones have none."""
+    The answer is the likeliest state with the mean latency in place of the likeliest, which the
+    others follow.
+    """
+    step, told = _latency(fit)
     A = fit.octaves.information(fit.c)
     W, back = whitener(A)
     middle = np.zeros_like(A)
@@ -71,8 +71,8 @@ def covariance(fit: Fit) -> FloatArray:
         middle += (vectors * np.maximum(values, fit.phi)) @ vectors.T / len(BLOCKS)
     prior = fit.prior.copy()
     prior[:6] = 0.0
-    prior[LATENCY] = _latency(fit)[1]
+    prior[LATENCY] = told
     inverse, open_ = _inverse(A / fit.phi + np.diag(prior))
     result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + open_
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
-    return 0.5 * (result + result.T)
+    return fit.state.moved(step), 0.5 * (result + result.T)

@@ -25,7 +25,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import counted, MotionError, SolverError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
-from trajectory_calibration.solvers.drift_aware.covariance import covariance, settled
+from trajectory_calibration.solvers.drift_aware.covariance import posterior
 from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findings_of
 from trajectory_calibration.solvers.drift_aware.drive import Drive, TERMS
 from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
@@ -75,17 +75,16 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             'tell noise from motion; record longer or use dnl')
     _require_motion(pairs)
     every = _every(pairs)
-    kept = pairs.thinned(every)
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         found, unit = _fit(pairs, every, dict(terms))
-        spread, cost = covariance(found), found.objective
-        found = replace(found, state=settled(found))
+        state, spread = posterior(found)
+        found, cost = replace(found, state=state), found.objective
         if not np.isfinite(np.r_[found.state.T_a_b.ravel(), spread.ravel(), cost]).all():
             raise SolverError(
                 f'drift_aware: {len(pairs)} poses gave no finite answer: the motion is too '
                 'degenerate for its model; use dnlo')
-    diagnosis = diagnose(found, spread, kept.stamps_ns, unit)
+    diagnosis = diagnose(found, spread, pairs.stamps_ns[::every], unit)
     return Solution(
         T_a_b=found.state.T_a_b,
         cost=cost,

@@ -99,8 +99,7 @@ def improved(
     whitened = found.inverse @ found.J
     # Half the derivative of the restricted log likelihood in V.
     slope = (weights[:, None, None] * (
-        e[:, :, None] * e[:, None, :]
-        + whitened @ solved(normal, np.eye(len(normal))) @ transposed(whitened))
+        along(e) + whitened @ solved(normal, np.eye(len(normal))) @ transposed(whitened))
         - found.inverse)
     slope[cut[tree.boundary - 1]] = 0.0
     used = ~cut[tree.boundary - 1]
