@@ -1,13 +1,13 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The answer with the covariance of all parameters: information, prior, sandwich over blocks."""
+"""The covariance of all parameters: information, prior, sandwich over blocks of time."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY, State
+from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
@@ -32,37 +32,28 @@ def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
     return kept / values[known] @ kept.T, free @ free.T * _FAR**2
 
 
-def _latency(fit: Fit) -> tuple[FloatArray, float]:
-    """Return the (12,) step from the likeliest latency to its mean, and the precision it has.
+def _told_of_latency(fit: Fit) -> float:
+    """Return the precision that the latency has beyond that of the data.
 
     At a constant speed nothing tells a latency from the lever arm along the way. Its posterior, a
     Cauchy prior by the normal distribution that the data give, is then wide and lopsided, and its
-    curvature at the mode says little of it. Precision: what to add to that of the data.
+    curvature at the mode says little of it: its second moment about the mode does.
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
     known, open_ = _inverse(fit.octaves.information(fit.c) / fit.phi + np.diag(prior))
-    of_data = known + open_
-    told = 1 / of_data[LATENCY, LATENCY]
+    told = 1 / (known + open_)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
     precision = told + _LONG_LATENCY_S**-2
     middle = (told + fit.prior[LATENCY]) * mode / precision
     x = middle + _ABSCISSAE / np.sqrt(precision)
     cost = np.log1p((x / HALF_WIDTH[LATENCY - 6])**2) + 0.5 * _ABSCISSAE**2
     p = np.exp(cost.min() - cost)
-    p /= p.sum()
-    mean = p @ x
-    step = of_data[:, LATENCY] * told * (mean - mode)
-    return step, max(0.0, 1 / float(p @ (x - mean)**2) - told)
+    return max(0.0, float(p.sum() / (p @ (x - mode)**2)) - told)
 
 
-def posterior(fit: Fit) -> tuple[State, FloatArray]:
-    """Return the answer and its (12, 12) covariance, of all parameters; fixed ones have none.
-
-    The answer is the likeliest state with the mean latency in place of the likeliest, which the
-    others follow.
-    """
-    step, told = _latency(fit)
+def covariance(fit: Fit) -> FloatArray:
+    """Return (12, 12), of all parameters; fixed ones have none."""
     A = fit.octaves.information(fit.c)
     W, back = whitener(A)
     middle = np.zeros_like(A)
@@ -71,8 +62,8 @@ def posterior(fit: Fit) -> tuple[State, FloatArray]:
         middle += (vectors * np.maximum(values, fit.phi)) @ vectors.T / len(BLOCKS)
     prior = fit.prior.copy()
     prior[:6] = 0.0
-    prior[LATENCY] = told
+    prior[LATENCY] = _told_of_latency(fit)
     inverse, open_ = _inverse(A / fit.phi + np.diag(prior))
     result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + open_
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
-    return fit.state.moved(step), 0.5 * (result + result.T)
+    return 0.5 * (result + result.T)

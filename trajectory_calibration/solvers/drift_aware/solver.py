@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import counted, MotionError, SolverError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
-from trajectory_calibration.solvers.drift_aware.covariance import posterior
+from trajectory_calibration.solvers.drift_aware.covariance import covariance
 from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findings_of
 from trajectory_calibration.solvers.drift_aware.drive import Drive, TERMS
 from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
@@ -78,8 +77,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     # A start that diverges overflows on its way; it is discarded, or all of them are an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         found, unit = _fit(pairs, every, dict(terms))
-        state, spread = posterior(found)
-        found, cost = replace(found, state=state), found.objective
+        spread, cost = covariance(found), found.objective
         if not np.isfinite(np.r_[found.state.T_a_b.ravel(), spread.ravel(), cost]).all():
             raise SolverError(
                 f'drift_aware: {len(pairs)} poses gave no finite answer: the motion is too '
