@@ -7,14 +7,20 @@ Nothing here imports ROS, so that a replay of a bag runs through the same code a
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from itertools import islice
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.trajectory import MAX_POSITION, ROTATION_TOLERANCE
+from trajectory_calibration.data.trajectory import (
+    MAX_POSITION,
+    pose_faults,
+    ROTATION_TOLERANCE,
+)
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.track import Track
@@ -165,32 +171,31 @@ class PoseBuffer:
         """
         self.received += 1
         self.refused = {why: self.refused[why] if why in OF_MESSAGES else 0 for why in Refusal}
-        track: dict[int, PoseTuple] = {}
-        for stamp_ns, pose in zip(stamps_ns.tolist(), map(tuple, poses.tolist()), strict=True):
-            fault = fault_of(pose) if stamp_ns else Refusal.NO_STAMP
-            if fault is None and stamp_ns in track:
-                fault = Refusal.DUPLICATE
-            if fault is None:
-                track[stamp_ns] = pose
-            else:
-                self.refused[fault] += 1
-        if not track:
+        usable = np.ones(len(stamps_ns), dtype=bool)
+        for why, bad in zip(
+                (Refusal.NO_STAMP, Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
+                (stamps_ns == 0, *pose_faults(poses)), strict=True):
+            self.refused[why] = int(np.count_nonzero(usable & bad))
+            usable &= ~bad
+        sorted_ns, first = np.unique(stamps_ns[usable], return_index=True)
+        self.refused[Refusal.DUPLICATE] = int(np.count_nonzero(usable)) - len(first)
+        if not len(first):
             self.refused[Refusal.EMPTY_PATH] += 1
             return
         self._change_frames(self._without_slashes(frames))
         self.still = 0
-        row = sorted(track.items())
-        strays = self.refused[Refusal.STRAY_STAMP] = self._strays(row)
-        self._store_all(row[:len(row) - strays])
+        strays = self.refused[Refusal.STRAY_STAMP] = self._strays(sorted_ns)
+        row = zip(sorted_ns.tolist(), map(tuple, poses[usable][first].tolist()), strict=True)
+        self._store_all(islice(row, len(first) - strays))
 
-    def _strays(self, row: list[tuple[int, PoseTuple]]) -> int:
+    def _strays(self, sorted_ns: NDArray[np.int64]) -> int:
         """Return how many of the last of the sorted stamps are wrong.
 
         Fewer than CONFIRMATIONS are, if only without them so many poses are within the age.
         """
         for strays in range(CONFIRMATIONS):
-            ends = row[:len(row) - strays][-CONFIRMATIONS:]
-            if len(ends) == CONFIRMATIONS and ends[-1][0] - ends[0][0] <= self._max_age_ns:
+            ends = sorted_ns[:len(sorted_ns) - strays][-CONFIRMATIONS:]
+            if len(ends) == CONFIRMATIONS and ends[-1] - ends[0] <= self._max_age_ns:
                 return strays
         return 0
 
@@ -259,7 +264,7 @@ class PoseBuffer:
         self._change_frames(frames)
         self._store_all(row)
 
-    def _store_all(self, row: list[tuple[int, PoseTuple]]) -> None:
+    def _store_all(self, row: Iterable[tuple[int, PoseTuple]]) -> None:
         for stamp_ns, pose in row:
             self._store(stamp_ns, pose)
 
