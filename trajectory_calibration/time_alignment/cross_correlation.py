@@ -57,28 +57,52 @@ class CoarseOffset(NamedTuple):
     starts_ns: list[int]
 
 
+class Lags(NamedTuple):
+    """How two sensors compare at (K,) lags, int64, in cells of ``cell_ns`` nanoseconds.
+
+    (K,) correlations, 0 where too little is known of both; mean squared differences of their turns
+    in a cell, squared radians; numbers of cells in which both are known.
+    """
+
+    cell_ns: int
+    lags: NDArray[np.int64]
+    correlation: FloatArray
+    apart: FloatArray
+    known: FloatArray
+
+
+def correlate(
+    a: Trajectory, b: Trajectory, reach_s: float, least_cell_ns: float = _LEAST_CELL_NS,
+) -> Lags:
+    """Compare the turns of both with b later by all lags of at most ``reach_s``, and a few more.
+
+    The cells of the grid are at least ``least_cell_ns`` and half a step of either.
+    """
+    times_a, times_b = _without_pauses(a, b, reach_s)
+    span = max(int(times_a[-1]), int(times_b[-1]))
+    cell_ns = int(max(a.usual_step_ns / 2, b.usual_step_ns / 2, least_cell_ns, span / _MAX_CELLS))
+    reach_ns = round(reach_s * 1e9)
+    return _correlate(
+        *_turned_in_cells(a, times_a, cell_ns, _reached(times_b, reach_ns)),
+        *_turned_in_cells(b, times_b, cell_ns, _reached(times_a, reach_ns)),
+        # One lag beyond the allowed ones on either side, to compare those with.
+        int(reach_s * 1e9 / cell_ns) + 3, cell_ns)
+
+
 def find_coarse_offset(a: Trajectory, b: Trajectory, max_offset_s: float) -> CoarseOffset | None:
     """Return the offset of b within ``max_offset_s`` of the largest correlation, and its rivals.
 
     None where nothing correlates.
     """
-    times_a, times_b = _without_pauses(a, b, max_offset_s)
-    usual = max(a.usual_step_ns, b.usual_step_ns)
-    span = max(int(times_a[-1]), int(times_b[-1]))
-    cell_ns = int(max(usual / 2, _LEAST_CELL_NS, span / _MAX_CELLS))
-    reach_ns = round(max_offset_s * 1e9)
-    found = _correlate(
-        *_turned_in_cells(a, times_a, cell_ns, _reached(times_b, reach_ns)),
-        *_turned_in_cells(b, times_b, cell_ns, _reached(times_a, reach_ns)),
-        # One lag beyond the allowed ones on either side, to compare those with.
-        int(max_offset_s * 1e9 / cell_ns) + 3)
+    found = correlate(a, b, max_offset_s)
+    cell_ns = found.cell_ns
     # One lag beyond the limit on either side, or an offset at the limit could not be refined.
     allowed = np.abs(found.lags) * cell_ns <= max_offset_s * 1e9 + cell_ns
     if not (found.correlation[allowed] > 0).any():
         return None
     best = int(np.argmax(np.where(allowed, found.correlation, -1.0)))
     # Cells shorter than a step share its noise.
-    samples = min(1.0, cell_ns / usual) * found.known
+    samples = min(1.0, cell_ns / max(a.usual_step_ns, b.usual_step_ns)) * found.known
     places = [best, *_rivals(found, allowed, samples, best)]
     return CoarseOffset(
         float(found.correlation[best]), cell_ns, (found.lags[places] * cell_ns).tolist())
@@ -95,7 +119,7 @@ def chance_factor(samples: FloatArray, other: float) -> FloatArray:
 
 
 def _rivals(
-    lags: _Lags, allowed: NDArray[np.bool_], samples: FloatArray, best: int,
+    lags: Lags, allowed: NDArray[np.bool_], samples: FloatArray, best: int,
 ) -> list[int]:
     """Return where else the two may be apart as little as at the ``best`` of the (K,) lags.
 
@@ -161,23 +185,10 @@ def _turned_in_cells(
     return np.diff(at_edges, axis=0) * known[:, None], known
 
 
-class _Lags(NamedTuple):
-    """How two sensors compare at (K,) lags, int64, in cells.
-
-    (K,) correlations; mean squared differences of their turns in a cell, squared radians; numbers
-    of cells in which both are known.
-    """
-
-    lags: NDArray[np.int64]
-    correlation: FloatArray
-    apart: FloatArray
-    known: FloatArray
-
-
 def _correlate(
     a: FloatArray, known_a: NDArray[np.bool_], b: FloatArray, known_b: NDArray[np.bool_],
-    reach: int,
-) -> _Lags:
+    reach: int, cell_ns: int,
+) -> Lags:
     """Compare ``a[k + lag]`` with ``b[k]`` at all lags of at most ``reach`` cells."""
     size = 1 << (len(a) + len(b) - 1).bit_length()
 
@@ -205,4 +216,4 @@ def _correlate(
     # Rounding may leave less than nothing; what goes against each other is no candidate.
     apart = np.where(
         correlation > 0, np.maximum((energy_a + energy_b - 2 * gain) / known, 0.0), np.inf)
-    return _Lags(lags, correlation, apart, known)
+    return Lags(cell_ns, lags, correlation, apart, known)

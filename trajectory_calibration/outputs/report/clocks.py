@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.time_alignment.rotation_increments import largest_gain, longest_step_ns
+from trajectory_calibration.time_alignment.cross_correlation import correlate
+from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
 
 # Seconds of the part that is drawn, and points in it.
 _PART_S, _POINTS = 30.0, 300
-# Cells of the comparison at the most, and lags on either side.
-_CELLS, _LAGS = 6000, 60
+# Lags of the comparison on either side.
+_LAGS = 60
 # Least seconds that are compared on either side, and least length of a window of rotation.
 _REACH_S, _WINDOW_S = 0.5, 0.2
 
@@ -94,33 +95,12 @@ def _rate(trajectory: Trajectory, seconds: FloatArray, start: int, window_s: flo
 
 def _correlate(a: Trajectory, b: Trajectory, usual_s: float) -> tuple[FloatArray, FloatArray]:
     """Return offsets and the largest correlation that any rotation between both allows."""
-    start = int(max(a.stamps_ns[0], b.stamps_ns[0]))
-    duration = (int(min(a.stamps_ns[-1], b.stamps_ns[-1])) - start) * 1e-9
-    reach = max(_REACH_S, 8 * usual_s)
-    if duration < 3 * reach:
+    common_ns = min(a.stamps_ns[-1], b.stamps_ns[-1]) - max(a.stamps_ns[0], b.stamps_ns[0])
+    reach_s = max(_REACH_S, 8 * usual_s)
+    if common_ns < 3e9 * reach_s:
         return np.zeros(0), np.zeros(0)
-    cell = max(usual_s / 2, reach / _LAGS, duration / _CELLS)
-    edges = np.arange(0.0, duration, cell)
-    turn_a, turn_b = (_in_cells(trajectory, edges, start) for trajectory in (a, b))
-    lags = min(_LAGS, int(reach / cell))
-    covariance = np.empty((2 * lags + 1, 3, 3))
-    energy = np.empty(2 * lags + 1)
-    for k, shift in enumerate(range(-lags, lags + 1)):
-        # The clock of b later by so many cells: its turns belong to later ones of a.
-        part_a = turn_a[max(0, shift):len(turn_a) + min(0, shift)]
-        part_b = turn_b[max(0, -shift):len(turn_b) - max(0, shift)]
-        covariance[k] = part_a.T @ part_b
-        energy[k] = np.sqrt(np.sum(part_a**2) * np.sum(part_b**2))
-    correlation = largest_gain(covariance) / np.maximum(energy, 1e-300)
-    return np.arange(-lags, lags + 1, dtype=np.float64) * cell, correlation
-
-
-def _in_cells(trajectory: Trajectory, edges: FloatArray, start: int) -> FloatArray:
-    """Return the (K, 3) rotation of a sensor about its axes in each cell."""
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(trajectory.turns, axis=0)])
-    times = _seconds(trajectory, start)
-    at_edges = np.column_stack([np.interp(edges, times, axis) for axis in total.T])
-    return np.diff(at_edges, axis=0)
+    found = correlate(a, b, reach_s, 1e9 * reach_s / _LAGS)
+    return found.lags.astype(np.float64) * (found.cell_ns * 1e-9), found.correlation
 
 
 def _spans(trajectory: Trajectory, start: int) -> FloatArray:
