@@ -9,16 +9,11 @@ from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import exceedance
+from trajectory_calibration.geometry.observed import drawn_near, misfit, open_directions, without
 from trajectory_calibration.outputs.comparison_table import rig_to_data, rig_to_text
 from trajectory_calibration.rig import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs
-from trajectory_calibration.rig.observed import (
-    drawn_near,
-    misfit,
-    open_directions,
-    probability,
-    without,
-)
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
 from trajectory_calibration.simulation.scenario import random_pose, Sensor
@@ -84,9 +79,9 @@ def test_a_weight_without_a_direction_is_that_of_the_best_step_along_it():
 
 
 def test_chance_of_nothing_is_one():
-    assert probability(0.0, 0) == 1.0
-    assert probability(float('nan'), 6) == 1.0
-    assert probability(16.748, 5) == pytest.approx(0.005, rel=1e-3)
+    assert exceedance(0.0, 0) == 1.0
+    assert exceedance(float('nan'), 6) == 1.0
+    assert exceedance(16.748, 5) == pytest.approx(0.005, rel=1e-3)
 
 
 def test_an_answer_comes_near_along_what_is_open_only():

@@ -226,7 +226,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
     # A radian counts as a metre here.
     base = results[int(np.argmin([np.trace(P) for P in covariances]))].T_a_b
     limits = limits_of(config)
-    steps = np.array([aligned_step(base, result.T_a_b, P, limits)[0]
+    steps = np.array([aligned_step(base, result.T_a_b, P, limits)
                       for result, P in zip(results, covariances, strict=True)])
     noise_ratio = _noise_ratio(results, covariances)
     sums = _running_sums(steps, np.linalg.inv(np.array(covariances)) / noise_ratio**2)

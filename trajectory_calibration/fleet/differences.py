@@ -16,6 +16,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
+from trajectory_calibration.geometry.observed import along, misfit, open_directions
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # In the order of a covariance, as sentences need them.
@@ -104,9 +105,8 @@ def difference(
     open_limit = np.sqrt(2.0) * limits_of(config)
     weak_limit = np.sqrt(2.0) * np.repeat(
         [config.weak_translation, np.deg2rad(config.weak_rotation)], 3)
-    step, closed, variances = aligned_step(T_0, T_1, P, open_limit)
-    whitened = (closed @ (step / open_limit)) / np.sqrt(variances)
-    chi_squared, dof = float(whitened @ whitened), len(variances)
+    step = aligned_step(T_0, T_1, P, open_limit)
+    chi_squared, dof = misfit(step, P, open_limit)
     std = np.sqrt(np.diagonal(P))
     # Half of the false alarms go to all directions together, half to the single axes.
     limit = np.sqrt(quantile(1, 0.5 * probability / 6))
@@ -122,23 +122,20 @@ def difference(
 
 def aligned_step(
     T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> FloatArray:
     """Move T_1 along what its covariance leaves open until it is as near to T_0 as it gets.
 
-    Returns the step to it (6,), rows (K, 6) of the known directions, orthonormal in units of the
-    (6,) limits, and their variances (K,) in these units.
+    Returns the (6,) step to it; a direction is open from the (6,) limits on.
     """
-    variances, vectors = np.linalg.eigh(covariance / np.outer(limits, limits))
-    known = variances <= 1.0
-    open_, closed = vectors[:, ~known].T, vectors[:, known].T
+    free = open_directions(covariance, limits)
     step = se3.step_between(T_0, T_1)
-    for _ in range(_GAUGE_STEPS if len(open_) else 0):
-        free = limits * (open_.T @ (open_ @ (step / limits)))
-        if np.abs(free / limits).max() < 1e-9:
+    for _ in range(_GAUGE_STEPS):
+        way = along(free, step, limits)
+        if np.abs(way / limits).max() < 1e-9:
             break
-        T_1 = se3.moved(T_1, -free)
+        T_1 = se3.moved(T_1, -way)
         step = se3.step_between(T_0, T_1)
-    return step, closed, variances[known]
+    return step
 
 
 def floored(covariance: FloatArray) -> FloatArray:

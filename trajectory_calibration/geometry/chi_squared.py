@@ -17,8 +17,11 @@ FALSE_ALARM = 1e-3
 
 
 def exceedance(value: float, degrees_of_freedom: int) -> float:
-    """Return the probability that a chi-squared variable exceeds a value."""
-    if value <= 0:
+    """Return the probability that a chi-squared variable exceeds a value; 1 where that is NaN.
+
+    Without degrees of freedom nothing is told, and the probability is 1 as well.
+    """
+    if degrees_of_freedom <= 0 or not 0 < value < math.inf:
         return 1.0
     x, odd = 0.5 * value, degrees_of_freedom % 2
     return (math.erfc(math.sqrt(x)) if odd else 0.0) + math.fsum(

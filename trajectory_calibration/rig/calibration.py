@@ -13,7 +13,7 @@ import numpy as np
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
-from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
+from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
@@ -25,7 +25,6 @@ from trajectory_calibration.rig.contradictions import (
     other_clocks,
     unconnected,
 )
-from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.pairs import (
     calibrate_pairs,
     connected,
@@ -187,7 +186,7 @@ def _of_answers(
                       *(item for part in parts for item in part.contradictions)]
     chi_squared, degrees = (sum(part.chi_squared for part in parts),
                             sum(part.degrees for part in parts))
-    p_value = probability(chi_squared, degrees)
+    p_value = exceedance(chi_squared, degrees)
     of_parts = [found for part in parts for found in part.findings]
     return RigResult(
         base=next(iter(sensors.values())).base, sensors=sensors,
@@ -244,7 +243,7 @@ def _solve_group(
         contradictions=tuple(
             replace(item, left_out=item.sensor in left_out) for item in contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
-        p_value=probability(without.chi_squared, without.degrees),
+        p_value=exceedance(without.chi_squared, without.degrees),
         findings=(_ASSUMED,) if tree.noise is None and len(answers) > 1 else (), config=config)
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
+from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
+from trajectory_calibration.geometry.observed import misfit, whitener
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.contradictions import describe_step
-from trajectory_calibration.rig.observed import misfit, probability, whitener
 from trajectory_calibration.rig.result import RigResult, twist_rows
 from trajectory_calibration.rig.shared_noise import twist_to_step
 
@@ -118,14 +118,14 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         std = np.sqrt(np.diagonal(P))
         known = np.where(std < limits, 1.0, np.nan)
         sensors.append(Change(name, known * step, known * std, chi_squared, degrees,
-                              probability(chi_squared, degrees)))
+                              exceedance(chi_squared, degrees)))
     K = whitener(V, limits)
     shift = K @ shift
     total, count = float(shift @ shift), len(K)
     left, degrees = total, count
     found: list[Change] = []
     free = np.zeros((len(V), 0))
-    while degrees > 0 and probability(left, degrees) < FALSE_ALARM:
+    while degrees > 0 and exceedance(left, degrees) < FALSE_ALARM:
         tried = []
         for name, column in columns.items():
             A = np.concatenate([free, limits * column], axis=1)
@@ -141,12 +141,12 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         bound = np.linalg.inv((K @ free[:, -6:]).T @ (K @ free[:, -6:]) + np.eye(6))
         std = np.sqrt(np.diagonal(L @ (np.outer(limits, limits) * bound) @ L.T))
         found.append(Change(name, L @ twist, std, left - rest, shown,
-                            min(1.0, probability(left - rest, shown) * len(tried))))
+                            min(1.0, exceedance(left - rest, shown) * len(tried))))
         left, degrees = rest, remaining
     of_base = [item for item in found if item.sensor == base]
     missing = tuple(name for name in old.sensors if name not in common)
     return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
-                         probability(total, count))
+                         exceedance(total, count))
 
 
 def _twists(

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
+from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
+from trajectory_calibration.geometry.observed import without
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.fusion import Fused
-from trajectory_calibration.rig.observed import probability, without
 from trajectory_calibration.rig.pairs import PairFailure
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
@@ -84,7 +84,7 @@ def _worst_in_loops(
 ) -> tuple[int | None, Contradiction] | None:
     """Return the sensor without which the loops close best, where they do not close."""
     now = tree.fuse(doubted=doubted)
-    p_now = probability(now.chi_squared, now.degrees)
+    p_now = exceedance(now.chi_squared, now.degrees)
     if p_now >= FALSE_ALARM:
         return None
     left = [k for k in range(len(tree.names)) if k not in doubted]
@@ -94,7 +94,7 @@ def _worst_in_loops(
         # Without the culprit the others agree; of three, nobody is left to agree.
         if rest.degrees > 0:
             tried.append((
-                probability(rest.chi_squared, rest.degrees),
+                exceedance(rest.chi_squared, rest.degrees),
                 now.chi_squared - rest.chi_squared, now.degrees - rest.degrees, k))
     if not tried:
         names = ', '.join(tree.names[k] for k in left)
@@ -106,7 +106,7 @@ def _worst_in_loops(
     return k, Contradiction(
         tree.names[k], 'loops', f'the pairs of {tree.names[k]} contradict those of the others '
         f'(which agree with p = {p_rest:.2g} without it): check its frame, its units and its data',
-        gain, degrees, min(1.0, probability(gain, degrees) * len(tried)))
+        gain, degrees, min(1.0, exceedance(gain, degrees) * len(tried)))
 
 
 def against_priors(
@@ -192,7 +192,7 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
                  if (told := _change(*evidence, sample // size, sample // size + 1)) is not None]
         for sample, jump, change, weight in (*tried, *jumps):
             chi_squared = float(change @ weight @ change)
-            p_value = probability(chi_squared, degrees) * len(tried)
+            p_value = exceedance(chi_squared, degrees) * len(tried)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.observed import misfit, whitener
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.observed import misfit, whitener
 from trajectory_calibration.rig.shared_noise import regular, with_own_share
 
 _MAX_STEPS = 50

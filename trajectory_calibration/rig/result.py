@@ -23,9 +23,9 @@ from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import exceedance
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.noise import SensorNoise
-from trajectory_calibration.rig.observed import probability
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.shared_noise import twist_to_step
 from trajectory_calibration.rig.windows import Clock
@@ -102,7 +102,7 @@ class PairReport:
     @property
     def p_value(self) -> float:
         """Return how often chance alone exceeds the chi-squared; 1 where nothing checks it."""
-        return probability(self.chi_squared, self.degrees)
+        return exceedance(self.chi_squared, self.degrees)
 
     @property
     def words(self) -> str:

@@ -14,6 +14,7 @@ from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.observed import drawn_near, open_directions
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.fusion import fuse, fuse_numbers, Fused, spanning_start
@@ -23,7 +24,6 @@ from trajectory_calibration.rig.noise import (
     SensorNoise,
     white_and_drift,
 )
-from trajectory_calibration.rig.observed import drawn_near, open_directions
 from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.shared_noise import (
     assumed_correlations,

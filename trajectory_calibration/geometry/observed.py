@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajectory_calibration.geometry import chi_squared, se3
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Variance relative to that of the limits which is rounding.
@@ -46,20 +46,19 @@ def open_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
     return found
 
 
+def along(free: FloatArray, step: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the part of a (6,) step in the (6, K) ``free`` ones of ``open_directions``."""
+    part: FloatArray = free @ (free.T @ (step / limits**2))
+    return part
+
+
 def without(weight: FloatArray, free: FloatArray) -> FloatArray:
     """Return the (6, 6) weight of a step of which the (6, K) free directions say nothing."""
     if not free.shape[1]:
         return weight
-    along = weight @ free
-    left: FloatArray = weight - along @ np.linalg.pinv(free.T @ along) @ along.T
+    lost = weight @ free
+    left: FloatArray = weight - lost @ np.linalg.pinv(free.T @ lost) @ lost.T
     return left
-
-
-def probability(value: float, degrees: int) -> float:
-    """Return how often chance exceeds a chi-squared; 1 without degrees of freedom."""
-    if degrees <= 0 or not np.isfinite(value):
-        return 1.0
-    return chi_squared.exceedance(value, degrees)
 
 
 def drawn_near(
@@ -74,7 +73,7 @@ def drawn_near(
     free = open_directions(P, limits)
     if not free.shape[1]:
         return T, P
-    way = free @ (free.T @ (se3.step_between(near, T) / limits**2))
+    way = along(free, se3.step_between(near, T), limits)
     swung = se3.skew(way[:3])
     wider = P.copy()
     wider[:3, :3] += swung @ P[3:, 3:] @ swung.T
