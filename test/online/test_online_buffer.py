@@ -320,7 +320,12 @@ def test_a_path_without_a_usable_pose_replaces_nothing():
     assert buffer.refused[Refusal.NO_STAMP] == 8
     buffer.replace(stamps_ns[:5], row(5), ('map', ''))
     assert len(buffer) == 5
-    assert buffer.refusals() == '2 poses refused (2 path without a usable pose)'
+    assert buffer.refusals() == '2 messages refused (2 path without a usable pose)'
+    buffer.count_unreadable()
+    buffer.append(0, ('map', ''), (0, 0, 0, 0, 0, 0, 1))
+    assert buffer.refusals() == (
+        '1 pose refused (1 no stamp), 3 messages refused (1 unreadable, 2 path without a usable '
+        'pose)')
 
 
 def test_a_path_in_another_frame_is_taken_and_counted():

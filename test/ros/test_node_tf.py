@@ -150,6 +150,30 @@ def test_a_chain_of_transforms_gives_the_answer_of_the_odometry(tmp_path):
 
 
 @needs_tf2
+def test_a_bag_of_transforms_that_loops_starts_anew_and_bad_ones_are_counted(tmp_path):
+    stamps_ns, poses_a, _ = ros.drive(poses=100)
+    with ros.running(tmp_path, '-p', 'topic_a:=tf:map.base_link') as (_, client):
+        tf = Tf(client)
+        client.wait(lambda: client.node.count_subscribers('/tf') > 0, 'the listener')
+        client.spin(0.5)
+        far = np.eye(4)
+        far[0, 3] = 2e9
+        for count, poses in ((100, poses_a), (60, poses_a[:60])):
+            for stamp, pose in zip(stamps_ns, poses, strict=False):
+                tf.moving(stamp, ('map', 'base_link', pose))
+            tf.moving(stamps_ns[count - 1] + 1, ('map', 'base_link', far))
+            client.wait(lambda count=count: client.value(
+                'trajectory_a', 'poses') == str(count), 'the poses')
+        assert client.value('trajectory_a', 'clock jumps') == '1'
+        assert client.value('trajectory_a', 'refused: too far away') == '2'
+        assert client.call('reset').success
+        for stamp, pose in zip(stamps_ns, poses_a, strict=True):
+            tf.moving(stamp, ('map', 'base_link', pose))
+        client.wait(lambda: client.value('trajectory_a', 'poses') == '100', 'the poses again')
+        assert client.value('trajectory_a', 'clock jumps') == '0'
+
+
+@needs_tf2
 def test_what_a_chain_waits_for_is_in_the_diagnostics(tmp_path):
     with ros.running(tmp_path, '-p', 'topic_a:=tf:map.base_link') as (_, client):
         tf = Tf(client)

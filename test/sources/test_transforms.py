@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import ConfigError, TopicError
+from trajectory_calibration.data.trajectory import MAX_POSITION
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer, Refusal
+from trajectory_calibration.online.feed import feed_track
+from trajectory_calibration.sources.topics import transform_track
 from trajectory_calibration.sources.transforms import ChainFollower, parse_tf, TransformTree
 
 STEP_NS = 20_000_000
@@ -162,6 +166,157 @@ def test_a_follower_says_what_it_waits_for():
     follower.add('odom', 'base', 0, (0, 0, 0, 0, 0, 0, 1))
     assert len(follower.take()[0]) == 0
     assert follower.waiting_for == 'no frame map in the transforms; frames: base, odom'
+
+
+def drive_past(follower, buffer, tree, *, shift=0.0):
+    """Play all transforms of a tree in the order of time, as a bag does; take as the node does."""
+    events = sorted(
+        (stamp_ns, edge.parent, edge.child, pose, edge.static)
+        for edge in tree.edges for stamp_ns, pose in zip(
+            edge.samples[0].tolist(), edge.samples[1].tolist(), strict=True))
+    for k, (stamp_ns, parent, child, pose, static) in enumerate(events):
+        moved = pose if static else [pose[0] + shift, *pose[1:]]
+        follower.add(parent, child, stamp_ns, moved, static=static)
+        if k % 10 == 0 or k == len(events) - 1:
+            stamps_ns, poses, _ = follower.take()
+            rows = np.column_stack([poses[:, :3, 3],
+                                    se3.rotation_to_quaternion(poses[:, :3, :3])])
+            for at_ns, row in zip(stamps_ns.tolist(), rows.tolist(), strict=True):
+                buffer.append(at_ns + 1, ('map', 'lidar'), tuple(row))
+
+
+def test_a_bag_that_loops_restarts_the_buffer():
+    tree, *_ = robot(count=400)
+    follower, buffer = ChainFollower('map', 'lidar'), PoseBuffer(BufferLimits())
+    drive_past(follower, buffer, tree)
+    first = buffer.snapshot('lidar')
+    drive_past(follower, buffer, tree, shift=0.5)
+    again = buffer.snapshot('lidar')
+    assert follower.waiting_for == ''
+    assert (buffer.clock_jumps, buffer.forgotten) == (1, 400)
+    # Of the second pass alone: nothing is interpolated between the passes.
+    np.testing.assert_array_equal(again.stamps_ns, first.stamps_ns)
+    apart = again.poses[:, :3] - first.poses[:, :3]
+    alone = PoseBuffer(BufferLimits())
+    drive_past(ChainFollower('map', 'lidar'), alone, tree, shift=0.5)
+    np.testing.assert_array_equal(again.poses, alone.snapshot('lidar').poses)
+    assert (np.linalg.norm(apart, axis=1) > 0.4).all()
+
+
+def test_a_static_transform_survives_a_restart_that_does_not_repeat_it():
+    tree, *_ = robot(count=400)
+    follower, buffer = ChainFollower('map', 'lidar'), PoseBuffer(BufferLimits())
+    drive_past(follower, buffer, tree)
+    moving_only = TransformTree()
+    for edge in tree.edges[:2]:
+        moving_only.extend(edge.parent, edge.child, *edge.samples)
+    drive_past(follower, buffer, moving_only)
+    assert (buffer.clock_jumps, len(buffer)) == (1, 400)
+
+
+def test_a_stray_stamp_costs_a_few_poses_only():
+    tree, stamps_ns, *_ = robot(count=400)
+    follower, buffer = ChainFollower('map', 'lidar'), PoseBuffer(BufferLimits())
+    half = TransformTree(), TransformTree()
+    for edge in tree.edges:
+        early = edge.samples[0] < 200 * STEP_NS
+        for part, keep in zip(half, (early, ~early | edge.static), strict=True):
+            part.extend(edge.parent, edge.child, edge.samples[0][keep], edge.samples[1][keep],
+                        static=edge.static)
+    drive_past(follower, buffer, half[0])
+    follower.add('odom', 'base_link', 86_400 * 10**9, (0, 0, 0, 0, 0, 0, 1))
+    drive_past(follower, buffer, half[1])
+    assert buffer.clock_jumps == 0
+    assert len(stamps_ns) - 12 < len(buffer) < len(stamps_ns)
+
+
+def test_a_reset_forgets_what_has_not_come_out_yet():
+    follower = ChainFollower('map', 'base')
+    stamps_ns, odom = moving(50, 1)
+    for stamp_ns, pose in zip(stamps_ns.tolist(), odom, strict=True):
+        follower.add('odom', 'base', stamp_ns, pose)
+    follower.restart()
+    follower.add('map', 'odom', 0, (0, 0, 0, 0, 0, 0, 1), static=True)
+    follower.add('odom', 'base', int(stamps_ns[-1]) + STEP_NS, odom[0])
+    assert len(follower.take()[0]) == 0
+
+
+def held(follower):
+    """Return how many transforms a follower holds, those that wait among them."""
+    return sum(len(edge._stamps_ns) + len(edge._waiting) for edge in follower._tree.edges)
+
+
+@pytest.mark.parametrize('parent, child', [('map', 'base'), ('map', 'odom'), ('map', 'tool')])
+def test_without_a_pose_no_more_than_a_minute_is_kept(parent, child):
+    # Of a chain that is not known, of one that is, and where nothing is taken out.
+    follower = ChainFollower(parent, child)
+    pose = (0.0, 0, 0, 0, 0, 0, 1)
+    follower.add('map', 'odom', 0, pose)
+    for k in range(100_000):
+        follower.add('arm', 'tool', k * STEP_NS, pose)
+        if child != 'tool' and k % 50 == 0:
+            assert len(follower.take()[0]) == 0
+    assert held(follower) < (10 if child == 'odom' else 5000)
+
+
+def test_stamps_that_hardly_advance_and_static_transforms_take_no_memory():
+    follower = ChainFollower('map', 'base')
+    pose = (0.0, 0, 0, 0, 0, 0, 1)
+    for k in range(100_000):
+        follower.add('map', 'odom', k, pose)
+        follower.add('odom', 'base', k, pose, static=True)
+    assert held(follower) < 63_000
+    assert len(follower.take()[0]) == 0
+    assert follower.waiting_for.startswith('nothing moves between these frames: map -> odom, ')
+
+
+BAD = [(np.nan, 0, 0, 0, 0, 0, 1), (0, 0, 0, 0, 0, 0, 1.5), (2 * MAX_POSITION, 0, 0, 0, 0, 0, 1)]
+
+
+def with_faults():
+    """Return the robot with one transform of each fault on the chain, and one beside it."""
+    tree, *_ = robot()
+    for k, pose in enumerate(BAD):
+        tree.extend('odom', 'base_link', [STEP_NS * (30 + k) + 1], [pose])
+    tree.extend('base_link', 'gps', [0], BAD[:1], static=True)
+    return tree
+
+
+def test_refused_transforms_are_counted_while_they_arrive():
+    tree, *_ = robot()
+    follower = ChainFollower('map', 'lidar')
+    for edge in tree.edges:
+        for stamp_ns, pose in zip(edge.samples[0].tolist(), edge.samples[1], strict=True):
+            follower.add(edge.parent, edge.child, stamp_ns, pose, static=edge.static)
+    for k, pose in enumerate(BAD):
+        follower.add('odom', 'base_link', STEP_NS * 199 + 1 + k, pose)
+    follower.add('base_link', 'gps', 0, BAD[0], static=True)
+    stamps_ns, _, refused = follower.take()
+    assert (len(stamps_ns), refused.tolist()) == (200, [1, 1, 1])
+    assert follower.take()[2].tolist() == [0, 0, 0]
+
+
+def test_refused_transforms_of_a_bag_are_in_the_warnings_and_in_the_buffer():
+    track = transform_track('tf:map.lidar', with_faults(), [])
+    assert track.refused == (1, 1, 1)
+    words = ('lidar: tf:map.lidar: dropped 3 transforms: 1 not finite, 1 quaternion not of unit '
+             'length, 1 more than 1e+09 m away along an axis')
+    assert words in track.to_trajectory().warnings
+    buffer = PoseBuffer(BufferLimits())
+    feed_track(track, buffer)
+    assert [buffer.refused[why] for why in (
+        Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR)] == [1, 1, 1]
+
+
+def test_an_edge_of_which_nothing_can_be_used_is_named():
+    tree, *_ = robot()
+    tree.extend('lidar', 'lens', [0], BAD[:1], static=True)
+    with pytest.raises(TopicError, match=r'lidar -> lens has no usable transform \(1 not finite'):
+        tree.compose('map', 'lens')
+    follower = ChainFollower('lidar', 'lens')
+    follower.add('lidar', 'lens', 0, BAD[0])
+    assert follower.take()[2].tolist() == [1, 0, 0]
+    assert 'no usable transform' in follower.waiting_for
 
 
 @pytest.mark.parametrize(('name', 'frames', 'expected'), [

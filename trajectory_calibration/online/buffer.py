@@ -62,6 +62,8 @@ class Refusal(str, Enum):
 
 # Of these the unit is the message, not the pose.
 OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
+# As ``pose_faults`` tells them apart.
+_FAULTS = (Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR)
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,12 @@ class PoseBuffer:
         self.received += 1
         self.refused[Refusal.UNREADABLE] += 1
 
+    def count_refused(self, counts: Iterable[int]) -> None:
+        """Count (3,) poses that were refused before, as ``pose_faults`` tells them apart."""
+        for why, count in zip(_FAULTS, map(int, counts), strict=True):
+            self.received += count
+            self.refused[why] += count
+
     def replace(
         self, stamps_ns: NDArray[np.int64], poses: FloatArray, frames: Frames,
     ) -> None:
@@ -173,7 +181,7 @@ class PoseBuffer:
         self.refused = {why: self.refused[why] if why in OF_MESSAGES else 0 for why in Refusal}
         usable = np.ones(len(stamps_ns), dtype=bool)
         for why, bad in zip(
-                (Refusal.NO_STAMP, Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR),
+                (Refusal.NO_STAMP, *_FAULTS),
                 (stamps_ns == 0, *pose_faults(poses)), strict=True):
             self.refused[why] = int(np.count_nonzero(usable & bad))
             usable &= ~bad
@@ -211,10 +219,15 @@ class PoseBuffer:
             tuple(f'{frame}: {note}' for note in (self.refusals(), slashes) if note))
 
     def refusals(self) -> str:
-        """Return the counts of refused poses in words, or '' where none was."""
-        counts = [f'{count} {why.value}' for why, count in self.refused.items() if count]
-        total = sum(self.refused.values())
-        return f'{counted(total, "pose")} refused ({", ".join(counts)})' if total else ''
+        """Return the counts of refused poses and messages in words, or '' where none was."""
+        sentences = []
+        for unit, reasons in (('pose', [why for why in Refusal if why not in OF_MESSAGES]),
+                              ('message', OF_MESSAGES)):
+            counts = {why.value: self.refused[why] for why in reasons if self.refused[why]}
+            if counts:
+                words = ', '.join(f'{count} {why}' for why, count in counts.items())
+                sentences.append(f'{counted(sum(counts.values()), unit)} refused ({words})')
+        return ', '.join(sentences)
 
     def _without_slashes(self, frames: Frames) -> Frames:
         """Return frame ids as tf2 takes them: it refuses a leading slash."""

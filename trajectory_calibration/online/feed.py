@@ -40,6 +40,7 @@ def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:
     """Put what a bag holds of a topic into a buffer, message by message as the node would."""
     for _ in range(track.unreadable):
         buffer.count_unreadable()
+    buffer.count_refused(track.refused)
     if track.msgtype == PATH:
         # Each path replaces the one before; the track is the last one.
         frames = track.frames[0] if track.frames else ('', '')

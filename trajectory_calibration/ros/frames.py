@@ -84,6 +84,11 @@ class VehicleTransforms:
             self.placed = 'not on /tf_static yet: listening first to what the vehicle publishes'
             self.settle()
 
+    def reset(self) -> None:
+        """Have the followers begin anew, so that no pose from before comes out later."""
+        for follower in self.followers:
+            follower.restart()
+
     def settle(self) -> None:
         """Publish what waits, once the vehicle has been heard; log what is wrong in TF."""
         if self._publisher is None:

@@ -198,6 +198,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = map(len, self._session.buffers)
         self._solver.cancel('stopped by a reset')
         self._background.reset()
+        self._tf.reset()
         self._session.reset()
         self._state.reset()
         response.success = True

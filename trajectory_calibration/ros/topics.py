@@ -137,7 +137,8 @@ class TransformSubscription:
 
     def update(self) -> None:
         """Take the poses that became known since the last call."""
-        stamps_ns, poses = self._follower.take()
+        stamps_ns, poses, refused = self._follower.take()
+        self._buffer.count_refused(refused)
         rows = np.hstack([poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3])])
         for stamp_ns, pose in zip(stamps_ns.tolist(), map(tuple, rows.tolist()), strict=True):
             self._buffer.append(stamp_ns, self._frames, pose)

@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -17,6 +18,21 @@ from trajectory_calibration.geometry.se3 import FloatArray
 # An edge is silent where it pauses for longer than this, and than ten of its usual steps.
 _GAP_NS = 1_000_000_000
 _GAP_FACTOR = 10
+
+# Where the time of an edge runs backwards by more, it began anew; by less, messages changed
+# places.
+_RESTART_NS = 1_000_000_000
+
+# Of transforms that arrive one by one, so much is kept: ten steps of an edge that changes every
+# six seconds, and no more of one whose stamps hardly advance.
+_KEPT_NS = 60_000_000_000
+_MOST_KEPT = 60_000
+_BLOCK = 1000
+
+
+# What ``pose_faults`` tells apart, in words.
+FAULTS = ('not finite', 'quaternion not of unit length',
+          f'more than {MAX_POSITION:.0e} m away along an axis')
 
 
 @dataclass(eq=False)
@@ -27,6 +43,7 @@ class Edge:
     ----------
     parent, child : names of the frames.
     static : whether the transform holds at all times.
+    refused : (3,), how many transforms were none, as ``pose_faults`` tells them apart.
 
     """
 
@@ -35,23 +52,33 @@ class Edge:
     static: bool = False
     _stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     _poses: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
+    refused: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
+    _told: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
     _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
+    _newest_ns: int = -2**63
     _changes: int = 0
 
     def __str__(self) -> str:
         return f'{self.parent} -> {self.child}'
 
+    def goes_back(self, stamp_ns: int) -> bool:
+        """Return whether time begins anew with a transform of this stamp."""
+        return not self.static and stamp_ns < self._newest_ns - _RESTART_NS
+
     def add(self, stamp_ns: int, pose: Sequence[float]) -> None:
-        """Take one transform: x, y, z (m), qx, qy, qz, qw."""
+        """Take one transform as it arrives: x, y, z (m), qx, qy, qz, qw; old ones go."""
         self._waiting.append((stamp_ns, pose))
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        if len(self._waiting) >= _BLOCK:
+            self._settle()
 
     def extend(self, stamps_ns: ArrayLike, poses: ArrayLike) -> None:
-        """Take (N,) stamps and (N, 7) transforms in the order in which they came."""
+        """Take (N,) stamps and (N, 7) transforms in the order in which they came; all stay."""
         stamps = np.asarray(stamps_ns, dtype=np.int64)
         new = np.asarray(poses, dtype=np.float64).reshape(len(stamps), 7)
-        usable = np.isfinite(new).all(axis=1)
-        with np.errstate(over='ignore', invalid='ignore'):
-            usable &= np.abs(np.linalg.norm(new[:, 3:], axis=1) - 1.0) < 1e-2
+        faults = np.array(pose_faults(new))
+        self.refused += np.count_nonzero(faults, axis=1)
+        usable = ~faults.any(axis=0)
         self._stamps_ns = np.concatenate([self._stamps_ns, stamps[usable]])
         poses = np.concatenate([self._poses, new[usable]])
         since = max(len(self._poses) - 1, 0)
@@ -63,9 +90,7 @@ class Edge:
     def samples(self) -> tuple[NDArray[np.int64], FloatArray]:
         """(N,) stamps and (N, 7) transforms in the order in which they came."""
         if self._waiting:
-            stamps, poses = zip(*self._waiting, strict=True)
-            self._waiting = []
-            self.extend(stamps, poses)
+            self._settle()
         return self._stamps_ns, self._poses
 
     def count_changes(self) -> int:
@@ -74,6 +99,16 @@ class Edge:
         _ = self.samples
         return self._changes
 
+    def new_refusals(self) -> NDArray[np.int64]:
+        """Return (3,), how many transforms were refused since the last call."""
+        _ = self.samples
+        new, self._told = self.refused - self._told, self.refused.copy()
+        return new
+
+    def clear(self) -> None:
+        """Drop all transforms."""
+        self._stamps_ns, self._poses, self._waiting = np.zeros(0, np.int64), np.zeros((0, 7)), []
+
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what no later pose needs."""
         stamps_ns, poses = self.samples
@@ -81,13 +116,21 @@ class Edge:
             first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - 1, 0)
             self._stamps_ns, self._poses = stamps_ns[first:], poses[first:]
 
+    def _settle(self) -> None:
+        """Put what waits with the rest, of which what nobody will ask for goes."""
+        stamps, poses = zip(*self._waiting, strict=True)
+        self._waiting = []
+        self.extend(stamps, poses)
+        self.forget_before(self._newest_ns - _KEPT_NS)
+        most = 1 if self.static else _MOST_KEPT
+        self._stamps_ns, self._poses = self._stamps_ns[-most:], self._poses[-most:]
+
     def ordered(self, notes: list[str]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return the samples in the order of their stamps, one a stamp, of one run of time."""
         stamps_ns, poses = self.samples
         if np.all(stamps_ns[1:] > stamps_ns[:-1]):
             return stamps_ns, poses
-        # By more than a second time began anew; by less, messages changed places.
-        restarts = np.flatnonzero(np.diff(stamps_ns) < -1_000_000_000) + 1
+        restarts = np.flatnonzero(np.diff(stamps_ns) < -_RESTART_NS) + 1
         parts = np.split(np.arange(len(stamps_ns)), restarts)
         longest = max(parts, key=len)
         if len(parts) > 1:
@@ -97,6 +140,11 @@ class Edge:
                 f'{len(longest)} of {counted(len(stamps_ns), "transform")}')
         stamps_ns, first = np.unique(stamps_ns[longest], return_index=True)
         return stamps_ns, poses[longest][first]
+
+
+def fault_words(refused: Iterable[int]) -> str:
+    """Return (3,) counts of what was refused in words, '' for none."""
+    return ', '.join(f'{count} {why}' for count, why in zip(refused, FAULTS, strict=True) if count)
 
 
 def covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:

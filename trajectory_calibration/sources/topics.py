@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.plausibility import lost_as_identity
-from trajectory_calibration.data.trajectory import MAX_POSITION, pose_faults, Trajectory
+from trajectory_calibration.data.trajectory import pose_faults, Trajectory
 from trajectory_calibration.errors import counted, SourceError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.channels import Batch
+from trajectory_calibration.sources.edges import fault_words, FAULTS
 from trajectory_calibration.sources.times import require_own_stamps
 from trajectory_calibration.sources.transforms import parse_tf, TransformTree
 
@@ -34,6 +35,7 @@ class TopicTrack:
     topic, msgtype : name and type.
     messages : how many were read.
     unreadable : how many of them were not.
+    refused : (3,), how many transforms of a chain were none, as ``pose_faults`` tells them apart.
     stamps_ns, received_ns : (N,) int64, of the header and of the recorder.
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw.
     frame_index : (N,), index into ``frames``.
@@ -52,6 +54,7 @@ class TopicTrack:
     poses: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     frame_index: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     frames: tuple[cdr.TwoFrames, ...] = ()
+    refused: tuple[int, ...] = (0, 0, 0)
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -83,6 +86,10 @@ class TopicTrack:
             notes.append(Finding(
                 'input-repaired',
                 f'dropped {self.unreadable} of {counted(self.messages, "message")}: unreadable'))
+        if any(self.refused):
+            notes.append(Finding(
+                'poses-lost', f'dropped {counted(sum(self.refused), "transform")}: '
+                f'{fault_words(self.refused)}'))
         keep = np.ones(len(self.poses), dtype=bool)
 
         def drop(bad: NDArray[np.bool_], why: str, code: str = 'poses-lost') -> None:
@@ -100,10 +107,8 @@ class TopicTrack:
             stamps_ns = self.received_ns
         else:
             drop(missing, ' without a stamp', 'input-repaired')
-        for bad, why in zip(pose_faults(self.poses), (
-                ': not finite', ': quaternion not of unit length',
-                f': more than {MAX_POSITION:.0e} m away along an axis'), strict=True):
-            drop(bad, why)
+        for bad, why in zip(pose_faults(self.poses), FAULTS, strict=True):
+            drop(bad, f': {why}')
         lost = np.zeros(len(keep), dtype=bool)
         lost[keep] = lost_as_identity(self.poses[keep])
         drop(lost, ': identity, far from the neighbours (the SLAM was lost?)')
@@ -264,10 +269,12 @@ def transform_track(
     notes: list[str] = []
     stamps_ns, T = tree.compose(parent, child, notes)
     poses = np.column_stack([T[:, :3, 3], se3.rotation_to_quaternion(T[:, :3, :3])])
+    refused = np.sum([link.edge.refused for link in tree.chain(parent, child)], axis=0)
     return TopicTrack(
         name, cdr.TF, sum(item.count for item in collectors),
         sum(item.unreadable for item in collectors), stamps_ns, stamps_ns, poses,
-        np.zeros(len(stamps_ns), dtype=np.intp), ((parent, child),), notes=tuple(notes))
+        np.zeros(len(stamps_ns), dtype=np.intp), ((parent, child),),
+        refused=tuple(refused.tolist()), notes=tuple(notes))
 
 
 def _stamps(received_ns: list[int]) -> NDArray[np.int64]:

@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from trajectory_calibration.errors import ConfigError, counted, TopicError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.edges import covered, Edge, interpolated, matrices
+from trajectory_calibration.sources.edges import covered, Edge, fault_words, interpolated, matrices
 
 TF_PREFIX = 'tf:'
 
@@ -47,15 +47,22 @@ class TransformTree:
     def __init__(self) -> None:
         self._edges: dict[tuple[str, str], Edge] = {}
 
-    def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
-            static: bool = False) -> None:
-        """Take the pose (x, y, z, qx, qy, qz, qw) of ``child`` in ``parent`` at a time."""
-        self._edge(parent, child, static=static).add(stamp_ns, pose)
+    def edge(self, parent: str, child: str, *, static: bool = False) -> Edge:
+        """Return the edge from a frame to its child, which is made where there is none."""
+        key = parent.lstrip('/'), child.lstrip('/')
+        edge = self._edges.get(key)
+        if edge is None:
+            edge = self._edges[key] = Edge(*key, static)
+        return edge
+
+    def drop(self, edge: Edge) -> None:
+        """Forget an edge."""
+        del self._edges[edge.parent, edge.child]
 
     def extend(self, parent: str, child: str, stamps_ns: ArrayLike, poses: ArrayLike, *,
                static: bool = False) -> None:
         """Take (N,) stamps and (N, 7) poses of ``child`` in ``parent``."""
-        self._edge(parent, child, static=static).extend(stamps_ns, poses)
+        self.edge(parent, child, static=static).extend(stamps_ns, poses)
 
     @property
     def edges(self) -> tuple[Edge, ...]:
@@ -121,13 +128,6 @@ class TransformTree:
         links = self.chain(parent, child)
         return _compose(links, stamp_edge(links), [] if notes is None else notes)
 
-    def _edge(self, parent: str, child: str, *, static: bool) -> Edge:
-        key = parent.lstrip('/'), child.lstrip('/')
-        edge = self._edges.get(key)
-        if edge is None:
-            edge = self._edges[key] = Edge(*key, static)
-        return edge
-
     def _paths(self, start: str, without: Edge | None = None) -> dict[str, list[Link]]:
         """Return the shortest ways from a frame to all that it is connected with."""
         reached: dict[str, list[Link]] = {start: []}
@@ -154,43 +154,78 @@ class ChainFollower:
     """The pose of one frame in another while transforms arrive.
 
     ``add`` every transform of /tf and /tf_static, ``take`` the poses that have become known;
-    ``waiting_for`` says why there are none.
+    ``waiting_for`` says why there are none. Where the time of an edge of the chain runs backwards,
+    the poses do, too: what comes before is forgotten, as tf2 does it.
     """
 
     def __init__(self, parent: str, child: str) -> None:
         self.parent, self.child = parent.lstrip('/'), child.lstrip('/')
-        self.waiting_for = f'no transform yet: is /tf published? ({self.parent}, {self.child})'
         self._tree = TransformTree()
+        self.restart(f'no transform yet: is /tf published? ({self.parent}, {self.child})')
+
+    def restart(self, why: str = 'waiting for the next transforms') -> None:
+        """Forget all transforms but the static ones, which are said only once."""
+        self.waiting_for = why
+        for edge in self._tree.edges:
+            if not edge.static:
+                self._tree.drop(edge)
         self._given_ns = -2**63
+        # The edges of the chain, once they are known, and the one whose stamps the poses get.
+        self._chain: frozenset[Edge] = frozenset()
         self._stamps_of: Edge | None = None
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
             static: bool = False) -> None:
-        """Take one transform as ``TransformTree.add`` does."""
-        self._tree.add(parent, child, stamp_ns, pose, static=static)
+        """Take the pose (x, y, z, qx, qy, qz, qw) of ``child`` in ``parent`` at a time."""
+        edge = self._tree.edge(parent, child, static=static)
+        if self._is_needless(edge):
+            return
+        if edge.goes_back(stamp_ns):
+            if self._chain:
+                self.restart(f'the time of {edge} ran backwards: waiting for its next transforms')
+            else:
+                self._tree.drop(edge)
+            edge = self._tree.edge(parent, child)
+        edge.add(stamp_ns, pose)
 
-    def take(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return (N,) stamps and (N, 4, 4) poses that became known since the last call."""
-        nothing = np.zeros(0, np.int64), np.zeros((0, 4, 4))
+    def take(self) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
+        """Return (N,) stamps and (N, 4, 4) poses that became known since the last call.
+
+        And (3,), how many transforms of the chain were refused, as ``pose_faults`` tells them
+        apart.
+        """
+        stamps_ns, poses = np.zeros(0, np.int64), np.zeros((0, 4, 4))
         try:
             links = self._tree.chain(self.parent, self.child)
-            if self._stamps_of is None:
-                edge = stamp_edge(links)
-                # Until then it may be another one that changes most often.
-                if edge.count_changes() < 5:
-                    self.waiting_for = f'{edge} has hardly moved yet'
-                    return nothing
-                self._stamps_of = edge
-            stamps_ns, poses = _compose(links, self._stamps_of, [])
+            if not self._chain:
+                self._chain = frozenset(link.edge for link in links)
+                for edge in filter(self._is_needless, self._tree.edges):
+                    edge.clear()
+            stamps_ns, poses = self._compose(links)
         except TopicError as error:
             self.waiting_for = str(error)
-            return nothing
+        refused = sum((edge.new_refusals() for edge in self._chain), start=np.zeros(3, np.int64))
+        return stamps_ns, poses, refused
+
+    def _is_needless(self, edge: Edge) -> bool:
+        # Static ones may be of another chain, after a restart.
+        return bool(self._chain) and edge not in self._chain and not edge.static
+
+    def _compose(self, links: Sequence[Link]) -> tuple[NDArray[np.int64], FloatArray]:
+        """Return what is new of a chain; raise TopicError where nothing moves yet."""
+        if self._stamps_of is None:
+            edge = stamp_edge(links)
+            # Until then it may be another one that changes most often.
+            if edge.count_changes() < 5:
+                raise TopicError(f'{edge} has hardly moved yet')
+            self._stamps_of = edge
+        stamps_ns, poses = _compose(links, self._stamps_of, [])
         new = stamps_ns > self._given_ns
         stamps_ns, poses = stamps_ns[new], poses[new]
         if len(stamps_ns):
             self.waiting_for = ''
             self._given_ns = int(stamps_ns[-1])
-            for edge in self._tree.edges:
+            for edge in self._chain:
                 edge.forget_before(self._given_ns)
         return stamps_ns, poses
 
@@ -221,8 +256,12 @@ def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
 def stamp_edge(links: Sequence[Link]) -> Edge:
     """Return the edge of a chain whose stamps the poses get: the one that changes most often.
 
-    Raise TopicError where nothing moves between the two frames.
+    Raise TopicError where nothing moves between the two frames, or of an edge nothing can be used.
     """
+    for edge, _ in links:
+        if not len(edge.samples[0]):
+            raise TopicError(f'{edge} has no usable transform ({fault_words(edge.refused)}); '
+                             'correct its sender')
     changes = {link.edge: link.edge.count_changes() for link in links if not link.edge.static}
     most = max(changes.values(), default=0)
     if not most:
