@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import time
+from unittest import mock
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import (
@@ -87,6 +88,26 @@ TYPES = {
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=5000)
+
+# What a client calls, by the name below the node.
+SERVICES = {
+    'calibrate': Trigger,
+    'reset': Trigger,
+    'save': Trigger,
+    'set_parameters': SetParameters,
+    'get_parameters': GetParameters,
+    'list_parameters': ListParameters,
+    'describe_parameters': DescribeParameters,
+}
+
+# Alone on this machine, and found soon.
+ENVIRONMENT = {
+    'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    'FASTRTPS_DEFAULT_PROFILES_FILE': str(pathlib.Path(__file__).with_name('discovery.xml')),
+}
+
+# How long an answer that changes nothing is waited for before it is asked for again.
+ASK_AGAIN_S = 0.5
 
 # Where the extrinsic of every simulated pair lies.
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
@@ -162,8 +183,8 @@ class NodeProcess:
 
     def __init__(self, folder, domain, namespace, arguments=(), environment=None):
         self.log_path = folder / f'node_{next(_numbers)}.log'
-        environment = {**os.environ, **(environment or {}), 'ROS_DOMAIN_ID': str(domain),
-                       'ROS_LOG_DIR': str(folder), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        environment = {**os.environ, **ENVIRONMENT, **(environment or {}),
+                       'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(folder),
                        'OMP_NUM_THREADS': '1'}
         with self.log_path.open('wb') as log:
             self.process = subprocess.Popen(
@@ -204,7 +225,8 @@ class Client:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.diagnostics = {}
-        self._services = {}
+        self._services = {name: self._service(name) for name in SERVICES}
+        self._met = False
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def close(self):
@@ -264,18 +286,42 @@ class Client:
         """Return the latest diagnostic status of a part of the node, or None."""
         return self.diagnostics.get(f'{self.namespace}/trajectory_calibration: {part}')
 
-    def start_call(self, name, kind=Trigger, request=None):
-        """Call a service of the node; return the future of its answer."""
-        key = (name, kind)
-        if key not in self._services:
-            self._services[key] = self.node.create_client(kind, f'trajectory_calibration/{name}')
-        client = self._services[key]
-        self.wait(client.service_is_ready, f'the service {name}')
-        return client.call_async(kind.Request() if request is None else request)
+    def _service(self, name):
+        return self.node.create_client(SERVICES[name], f'trajectory_calibration/{name}')
 
-    def call(self, name, kind=Trigger, request=None):
-        """Call a service of the node and return its answer."""
-        future = self.start_call(name, kind, request)
+    def meet(self):
+        """Wait until the node knows every endpoint that this client has made so far.
+
+        A client may have found a service whose node has not found the client. Fast DDS drops the
+        answer then, 0.1 s after it was given, and the call waits for ever. Discovery goes in the
+        order in which endpoints were made: once a newer client of a service has an answer, so
+        will the older ones. Listing parameters changes nothing, and may be asked for again.
+        """
+        newest = self._service('list_parameters')
+        self.wait(newest.service_is_ready, 'the node')
+        asked_s, answers = -ASK_AGAIN_S, []
+
+        def answered():
+            nonlocal asked_s
+            if time.monotonic() - asked_s >= ASK_AGAIN_S:
+                asked_s = time.monotonic()
+                answers.append(newest.call_async(ListParameters.Request()))
+            return any(map(Future.done, answers))
+        self.wait(answered, 'a first answer')
+        self.node.destroy_client(newest)
+        self._met = True
+
+    def start_call(self, name, request=None):
+        """Call a service of the node, once; return the future of its answer."""
+        if not self._met:
+            self.meet()
+        service = self._services[name]
+        self.wait(service.service_is_ready, f'the service {name}')
+        return service.call_async(SERVICES[name].Request() if request is None else request)
+
+    def call(self, name, request=None):
+        """Call a service of the node, once, and return its answer."""
+        future = self.start_call(name, request)
         self.wait(future.done, f'the answer of {name}')
         return future.result()
 
@@ -283,7 +329,7 @@ class Client:
         """Set a parameter of the node; return the result."""
         request = SetParameters.Request(
             parameters=[Parameter(name, value=value).to_parameter_msg()])
-        return self.call('set_parameters', SetParameters, request).results[0]
+        return self.call('set_parameters', request).results[0]
 
     def latched(
         self, topic='trajectory_calibration/extrinsic', kind=TransformStamped, qos=LATCHED,
@@ -309,17 +355,12 @@ def connected(namespace=None, domain=None):
     worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0')[2:])
     domain = domain or 1 + 50 * (worker % 2) + number % 50
     namespace = namespace or f'/test_{os.getpid()}_{number}'
-    previous = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE')
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    client = Client(domain, namespace)
-    try:
-        yield client
-    finally:
-        client.close()
-        if previous is None:
-            del os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE']
-        else:
-            os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = previous
+    with mock.patch.dict(os.environ, ENVIRONMENT):
+        client = Client(domain, namespace)
+        try:
+            yield client
+        finally:
+            client.close()
 
 
 @contextmanager

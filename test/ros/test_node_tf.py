@@ -27,13 +27,22 @@ class Tf:
         latched = ros.QoSProfile(depth=100, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
         self._static = client.node.create_publisher(TFMessage, '/tf_static', latched)
         self._moving = client.node.create_publisher(TFMessage, '/tf', 1000)
-        self._statics = []
+        self._statics, self._found = [], False
+
+    def wait_for_listener(self, publisher):
+        """Wait until the node and the publisher have found each other."""
+        self.client.wait(lambda: publisher.get_subscription_count() > 0, 'the listener')
+        self.client.meet()
 
     def static(self, parent, child, T):
+        self.wait_for_listener(self._static)
         self._statics.append(ros.to_transform(0, T, parent, child))
         self._static.publish(self.message(transforms=self._statics))
 
     def moving(self, stamp_ns, *edges):
+        if not self._found:
+            self.wait_for_listener(self._moving)
+            self._found = True
         self._moving.publish(self.message(transforms=[
             ros.to_transform(stamp_ns, T, parent, child) for parent, child, T in edges]))
 
@@ -126,8 +135,6 @@ def test_a_chain_of_transforms_gives_the_answer_of_the_odometry(tmp_path):
                 a = client.publisher(topic)
             else:
                 tf = Tf(client)
-                client.wait(lambda: client.node.count_subscribers('/tf') > 0, 'the listener')
-                client.spin(0.5)
             for k, stamp in enumerate(stamps_ns):
                 T_map_base = poses_a[k]
                 if topic == 'trajectory_a':
@@ -177,7 +184,6 @@ def test_a_bag_of_transforms_that_loops_starts_anew_and_bad_ones_are_counted(tmp
 def test_what_a_chain_waits_for_is_in_the_diagnostics(tmp_path):
     with ros.running(tmp_path, '-p', 'topic_a:=tf:map.base_link') as (_, client):
         tf = Tf(client)
-        client.wait(lambda: client.node.count_subscribers('/tf') > 0, 'the listener')
         client.wait(lambda: client.status('trajectory_a') is not None, 'the diagnostics')
 
         def missing():

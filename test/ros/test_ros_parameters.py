@@ -50,14 +50,13 @@ def test_every_option_has_a_range_or_is_free_text():
 def test_the_node_declares_exactly_these_parameters(tmp_path):
     config = str(ROOT / 'config' / 'calibration.yaml')
     with ros.running(tmp_path, '--params-file', config, '-p', 'max_gap:=2') as (_, client):
-        listed = client.call('list_parameters', ros.ListParameters).result.names
+        listed = client.call('list_parameters').result.names
         names = [option.name for option in options.OPTIONS.values()]
         request = ros.GetParameters.Request(names=names)
-        values = [ros.parameter_value_to_python(value) for value in client.call(
-            'get_parameters', ros.GetParameters, request).values]
+        values = [ros.parameter_value_to_python(value)
+                  for value in client.call('get_parameters', request).values]
         described = client.call(
-            'describe_parameters', ros.DescribeParameters,
-            ros.DescribeParameters.Request(names=names)).descriptors
+            'describe_parameters', ros.DescribeParameters.Request(names=names)).descriptors
     foreign = {'use_sim_time', 'start_type_description_service'}
     assert set(listed) - foreign == set(names)
     expected = {option.name: option.default for option in options.OPTIONS.values()}
