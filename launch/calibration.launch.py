@@ -20,23 +20,8 @@ from trajectory_calibration.online.launch_arguments import ARGUMENTS, launch_set
 
 
 def _start(context):
-    settings = launch_settings({
-        name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS})
-    # Typed: as text of YAML, a frame named "off" would become False.
-    overrides = {name: ParameterValue(value, value_type=type(value))
-                 for name, value in settings.parameters.items()}
-    return [Node(
-        package='trajectory_calibration',
-        executable='calibration_node',
-        name=settings.name,
-        namespace=settings.namespace,
-        # Later ones win: an argument beats the file.
-        parameters=[*filter(None, [settings.params_file]), overrides],
-        arguments=['--ros-args', '--log-level', settings.log_level],
-        respawn=settings.respawn,
-        respawn_delay=2.0,
-        output='screen',
-    )]
+    given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
+    return [Node(**launch_settings(given).of_node(ParameterValue))]
 
 
 def generate_launch_description():

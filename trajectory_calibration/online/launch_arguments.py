@@ -1,33 +1,57 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch file does with its arguments; apart from it, because ``launch`` is not on PyPI.
+"""What the launch files do with their arguments; apart from them: ``launch`` is not on PyPI.
 
 An argument that is given beats the parameter file; one that is empty leaves it to the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+import re
 from typing import Any
 
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.online.options import OPTIONS
+from trajectory_calibration.rig.description import RigDescription
+
+# Name, default and meaning of an argument.
+Argument = tuple[str, str, str]
 
 # Parameters of the node that are arguments, too.
 PARAMETERS = ('topic_a', 'topic_b', 'frame_a', 'frame_b', 'publish_tf', 'result_directory')
+_USE_SIM_TIME = 'use_sim_time'
 
-# Name, default and meaning; the defaults of the parameters are empty: the file's.
-ARGUMENTS = (
-    ('params_file', '', 'file with the parameters of the node; empty: all defaults'),
+# The defaults of the parameters are empty: the file's.
+_FILE: Argument = ('params_file', '', 'file with the parameters of a node; empty: all defaults')
+_OF_PROCESS: tuple[Argument, ...] = (
+    (_USE_SIM_TIME, '', 'whether a bag or a simulator publishes /clock; empty: as in the file'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal'),
+    ('respawn', 'false', 'start a node again whenever it ends'),
+)
+
+
+def _of_parameter(name: str) -> Argument:
+    return name, '', f'{OPTIONS[name].help}; empty: as in the file'
+
+
+ARGUMENTS: tuple[Argument, ...] = (
+    _FILE,
     ('config', '', 'older name of params_file'),
-    *((name, '', f'{OPTIONS[name].help}; empty: as in the file') for name in PARAMETERS),
+    *map(_of_parameter, PARAMETERS),
     ('namespace', '', 'namespace of the node: one for each pair of sensors'),
     ('name', 'trajectory_calibration', 'name of the node'),
-    ('use_sim_time', 'false', 'whether a bag or a simulator publishes /clock'),
-    ('log_level', 'info', 'debug, info, warn, error or fatal'),
-    ('respawn', 'false', 'start the node again whenever it ends'),
+    *_OF_PROCESS,
+)
+RIG_ARGUMENTS: tuple[Argument, ...] = (
+    ('rig', '', 'RIG.yaml: the base and the sensors, each with a topic or tf; needed'),
+    _FILE,
+    _of_parameter('result_directory'),
+    ('namespace', 'rig', 'namespace of the nodes'),
+    *_OF_PROCESS,
 )
 
 _LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
@@ -35,30 +59,103 @@ _LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 
 @dataclass(frozen=True)
 class LaunchSettings:
-    """How the node is started; ``parameters`` beat the file."""
+    """How a node is started; ``parameters`` beat the file."""
 
     params_file: str | None
-    parameters: dict[str, Any]
     namespace: str
-    name: str
     log_level: str
     respawn: bool
+    name: str
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    def of_node(self, typed: Callable[..., Any]) -> dict[str, Any]:
+        """Return the arguments of ``launch_ros.actions.Node``; ``typed`` is ParameterValue."""
+        # Typed: as text of YAML, a frame named "off" would become False.
+        overrides = {name: typed(value, value_type=type(value))
+                     for name, value in self.parameters.items()}
+        return {
+            'package': 'trajectory_calibration', 'executable': 'calibration_node',
+            'name': self.name, 'namespace': self.namespace, 'output': 'screen',
+            # Later ones win: an argument beats the file.
+            'parameters': [*filter(None, [self.params_file, overrides])],
+            'arguments': ['--ros-args', '--log-level', self.log_level],
+            'respawn': self.respawn, 'respawn_delay': 2.0}
 
 
 def launch_settings(arguments: Mapping[str, str]) -> LaunchSettings:
-    """Return how to start the node for launch arguments, all of them texts."""
-    given = {name: arguments.get(name, default) or default for name, default, _ in ARGUMENTS}
-    parameters: dict[str, Any] = {'use_sim_time': _switch('use_sim_time', given['use_sim_time'])}
-    for name in PARAMETERS:
-        if given[name]:
-            parameters[name] = (_switch(name, given[name]) if OPTIONS[name].kind is bool
-                                else OPTIONS[name].check(given[name]))
+    """Return how to start the node for arguments of ``calibration.launch.py``, all texts."""
+    given = _with_defaults(ARGUMENTS, arguments)
+    return LaunchSettings(
+        **_of_process(given), name=given['name'], parameters=_parameters(given, PARAMETERS))
+
+
+def rig_settings(arguments: Mapping[str, str]) -> list[LaunchSettings]:
+    """Return how to start the nodes for arguments of ``rig.launch.py``.
+
+    One for each sensor of RIG.yaml, as child of the base; ``trajectory_calibration rig
+    --from-results DIR`` makes one rig of what they save. Raises ConfigError: no such file, a
+    sensor that no node can receive, or two that get one name.
+    """
+    given = _with_defaults(RIG_ARGUMENTS, arguments)
+    if not given['rig']:
+        raise ConfigError('rig is empty, needed the description of the sensors: rig:=RIG.yaml')
+    process, parameters = _of_process(given), _parameters(given, ['result_directory'])
+    found: dict[str, tuple[str, LaunchSettings]] = {}
+    for sensor, own in _of_sensors(RigDescription.load(Path(given['rig']).expanduser())).items():
+        # Of a ROS name: letters of ASCII, digits and underscores.
+        name = 'calibrate_' + re.sub('[^A-Za-z0-9_]', '_', sensor)
+        if name in found:
+            raise ConfigError(f'the sensors {found[name][0]} and {sensor} would both be '
+                              f'calibrated by the node {name}; rename one of them')
+        found[name] = sensor, LaunchSettings(
+            **process, name=name, parameters={**parameters, **own})
+    return [settings for _, settings in found.values()]
+
+
+def _of_sensors(description: RigDescription) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the node of each sensor but the base."""
+    base = description.config.base or next(iter(description.inputs))
+    if base not in description.inputs:
+        raise ConfigError(f'the base {base!r} is none of the sensors: '
+                          f'{", ".join(description.inputs)}')
+    defaults = CalibrationConfig()
+    shared = {name: value for name, value in description.config.calibration.to_dict().items()
+              if value != getattr(defaults, name)}
+    found = {}
+    for name, (source, options) in description.inputs.items():
+        if options.of_files() or options.invert or Path(source).is_file():
+            raise ConfigError(f'sensor {name} has a file, needed a topic or tf for a node')
+        settings = description.config.of(name)
+        found[name] = {
+            **shared, **settings.given,
+            **({'scale_mode': 'estimate'} if settings.scale == 'free' else {}),
+            'topic_a': description.inputs[base][0], 'topic_b': source,
+            'frame_a': description.config.of(base).frame or base,
+            'frame_b': settings.frame or name}
+    del found[base]
+    return found
+
+
+def _with_defaults(known: Sequence[Argument], arguments: Mapping[str, str]) -> dict[str, str]:
+    return {name: arguments.get(name, default) or default for name, default, _ in known}
+
+
+def _of_process(given: Mapping[str, str]) -> dict[str, Any]:
+    """Return what is not a parameter of the node."""
     if given['log_level'] not in _LOG_LEVELS:
         raise ConfigError(
             f'log_level is {given["log_level"]!r}, needed one of {", ".join(_LOG_LEVELS)}')
-    return LaunchSettings(
-        _params_file(given['params_file'], given['config']), parameters, given['namespace'],
-        given['name'], given['log_level'], _switch('respawn', given['respawn']))
+    return {'params_file': _params_file(given['params_file'], given.get('config', '')),
+            'namespace': given['namespace'], 'log_level': given['log_level'],
+            'respawn': _switch('respawn', given['respawn'])}
+
+
+def _parameters(given: Mapping[str, str], names: Sequence[str]) -> dict[str, Any]:
+    """Return the parameters that are given, each in its type."""
+    return {name: _switch(name, given[name])
+            if name == _USE_SIM_TIME or OPTIONS[name].kind is bool
+            else OPTIONS[name].check(given[name])
+            for name in (*names, _USE_SIM_TIME) if given[name]}
 
 
 def _params_file(params_file: str, config: str) -> str | None:
