@@ -3,7 +3,9 @@
 """Settings are checked in one place; a result is plain data that survives a file."""
 
 import dataclasses
+import errno
 import json
+import os
 from pathlib import Path
 import re
 
@@ -21,7 +23,9 @@ from trajectory_calibration import (
     Trajectory,
     TrajectoryError,
 )
+from trajectory_calibration.config.file_names import file_names
 from trajectory_calibration.config.settings import Option
+from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, rounded
 from trajectory_calibration.solvers import load_solver
@@ -258,6 +262,30 @@ def test_saving_is_whole_or_not_at_all(result, tmp_path):
         bad.save(path)
     assert path.read_text() == 'precious'
     assert [p.name for p in tmp_path.iterdir()] == ['result.yaml']
+
+
+def test_every_file_is_whole_or_not_at_all(tmp_path, monkeypatch):
+    def cut(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / 'page.html'
+    write_text(path, 'precious')
+    (tmp_path / 'link').symlink_to(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, 'replace', cut)
+        with pytest.raises(ResultError, match=r'page\.html cannot be written: No space left'):
+            write_text(path, 'new')
+    assert path.read_text() == 'precious'
+    write_text(tmp_path / 'link', 'new')
+    assert (path.read_text(), (tmp_path / 'link').is_symlink()) == ('new', True)
+    write_text(Path('/dev/null'), 'x')
+    assert sorted(item.name for item in tmp_path.iterdir()) == ['link', 'page.html']
+
+
+def test_names_stay_in_their_folder_and_apart():
+    names = ['..', '/a/b', 'a_b', 'A_b', '', '.', 'rig.urdf', 'lidar']
+    found = file_names(names, ['rig.urdf'])
+    assert found == ['_.', 'a_b', 'a_b_2', 'A_b_3', '_', '__2', 'rig.urdf_2', 'lidar']
 
 
 def test_a_place_that_cannot_be_written_is_named(result, tmp_path):

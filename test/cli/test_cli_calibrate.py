@@ -3,8 +3,11 @@
 """``trajectory_calibration calibrate``: answers, formats, files, and wrong input of every kind."""
 
 from dataclasses import replace
+import errno
 import json
+import os
 from pathlib import Path
+import sys
 
 from cli_helpers import run, write_pair, write_pair_bag, X
 import numpy as np
@@ -13,6 +16,7 @@ from ruamel.yaml import YAML
 
 from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult
 from trajectory_calibration.cli.options import join_negative_values
+from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe
 from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
@@ -156,25 +160,87 @@ def test_output_holds_the_errors_against_the_truth(files, tmp_path, capsys):
     CalibrationResult.load(tmp_path / 'result.yaml')
 
 
-def test_output_that_cannot_be_written(files, capsys):
-    a, b, _ = files
-    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', f'{a}/below')
-    assert (status, out) == (1, '')
-    assert err == f'error: {a}/below cannot be made: Not a directory; give another --output\n'
+def no_calibration(*_):
+    raise AssertionError('calibrated, although the answer cannot be written')
 
 
-@pytest.mark.parametrize('taken, written', [
-    ('result.yaml', ['result.yaml']), ('T_a_b.txt', ['T_a_b.txt', 'result.yaml'])])
-def test_a_result_that_cannot_be_written_leaves_no_newer_transform(
-        files, tmp_path, capsys, taken, written):
+@pytest.mark.parametrize('option, message', [
+    ('--output={a}/below', '{a}/below cannot be made: {a} is a file; give another name'),
+    ('--report={a}/x.html', '{a} cannot be made: {a} is a file; give another name'),
+    ('--report={folder}', '{folder} cannot be written: it is a folder; give another name'),
+    ('--plots={folder}', 'matplotlib is not installed; pip install matplotlib')])
+def test_what_cannot_be_written_is_named_before_the_calibration(
+        files, tmp_path, monkeypatch, capsys, option, message):
+    monkeypatch.setattr('trajectory_calibration.cli.calibrate.calibrate', no_calibration)
+    monkeypatch.setitem(sys.modules, 'matplotlib.figure', None)
+    names = {'a': files[0], 'folder': tmp_path}
+    status, out, err = run(capsys, 'calibrate', *files[:2], *SOLVER, option.format(**names))
+    assert (status, out, err) == (1, '', f'error: {message.format(**names)}\n')
+
+
+@pytest.mark.parametrize('taken', ['result.yaml', 'T_a_b.txt', 'extrinsic.urdf'])
+def test_a_folder_in_the_place_of_a_file_leaves_no_part_of_an_answer(
+        files, tmp_path, capsys, taken):
     a, b, _ = files
     folder = tmp_path / 'out'
-    (folder / taken / 'below').mkdir(parents=True)
-    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--output', folder)
+    (folder / taken).mkdir(parents=True)
+    assert run(capsys, 'calibrate', a, b, *SOLVER, '--output', folder)[0] == 1
+    assert [item.name for item in folder.iterdir()] == [taken]
+
+
+def test_a_full_disk_takes_no_answer_away(files, tmp_path, monkeypatch, capsys):
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr('os.fsync', full)
+    a, b, _ = files
+    status, out, err = run(capsys, 'calibrate', a, b, *SOLVER, '--format', 'json',
+                           '--output', tmp_path / 'out')
+    assert status == 1
+    np.testing.assert_allclose(json.loads(out)['T_a_b']['translation'], X[:3, 3], atol=1e-9)
+    assert err == (f'error: {tmp_path}/out/result.yaml cannot be written: No space left on device'
+                   '; give another --output\n')
+    assert list((tmp_path / 'out').iterdir()) == []
+
+
+def test_a_reader_that_has_gone_takes_no_files_away(files, tmp_path, monkeypatch, capsys):
+    def gone(*_):
+        raise BrokenPipeError
+
+    monkeypatch.setattr('trajectory_calibration.cli.calibrate.print_as', gone)
+    monkeypatch.setattr('trajectory_calibration.cli.main._discard_output', lambda: None)
+    assert run(capsys, 'calibrate', *files[:2], *SOLVER, '--output', tmp_path / 'out')[0] == 0
+    assert (tmp_path / 'out' / 'extrinsic.urdf').is_file()
+
+
+def test_a_report_that_fails_hides_no_reason(files, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise ResultError('disk full')
+
+    monkeypatch.setattr('trajectory_calibration.cli.report.write_text', full)
+    status, out, err = run(capsys, 'calibrate', *files[:2], *SOLVER, '--time-offset', '100',
+                           '--report', tmp_path / 'x.html')
     assert (status, out) == (1, '')
-    assert err == (
-        f'error: {folder}/{taken} cannot be written: Is a directory; give another --output\n')
-    assert sorted(item.name for item in folder.iterdir()) == written
+    assert err.startswith('no report: disk full\nerror: no overlap in time')
+
+
+def test_no_export_of_an_earlier_answer_stays_beside_an_open_one(files, tmp_path, capsys):
+    out = tmp_path / 'out'
+    assert run(capsys, 'calibrate', *files[:2], *SOLVER, '--output', out)[0] == 0
+    (out / 'notes.txt').write_text('of a person')
+    (tmp_path / 'flat').mkdir()
+    a, b, _ = write_pair(tmp_path / 'flat', planar=True)
+    status, _, err = run(capsys, 'calibrate', a, b, '--solver', 'ali', '--reference', 'B5',
+                         '--output', out, '--force')
+    assert status == 3
+    assert sorted(path.name for path in out.iterdir()) == ['notes.txt', 'result.yaml']
+    assert f'removed from {out}, as of an earlier answer: T_a_b.txt, extrinsic.urdf, ' in err
+
+
+def test_exports_of_a_person_are_overwritten_with_force_only(files, tmp_path, capsys):
+    (tmp_path / 'extrinsic.urdf').write_text('mine')
+    assert run(capsys, 'calibrate', *files[:2], *SOLVER, '--output', tmp_path)[0] == 2
+    assert (tmp_path / 'extrinsic.urdf').read_text() == 'mine'
 
 
 def test_the_transform_names_what_was_not_observed(tmp_path, capsys):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import CalibrationConfig, CalibrationResult, ConfigError
+from trajectory_calibration.errors import ResultError
 from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.fleet.jobs import calibrate_job, Job, read_jobs, run_jobs
 from trajectory_calibration.geometry import se3
@@ -155,6 +156,26 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
     text = (tmp_path / 'in' / 'drive0' / 'a.tum').read_text()
     (tmp_path / 'in' / 'drive0' / 'a.tum').write_text('# edited\n' + text)
     assert finish(CalibrationConfig(solver='taylor'))[1] != other[1]
+
+
+def test_the_old_result_goes_when_the_new_one_is_there(drives, tmp_path, monkeypatch):
+    def full(*_):
+        raise ResultError('disk full')
+
+    def results():
+        return sorted(path.name for path in (tmp_path / 'results').iterdir())
+
+    one, two = (read_jobs([str(drives / 'drive0')], 'a.tum', 'b.tum', CalibrationConfig(
+        solver='taylor', reference=reference)) for reference in ('B5', 'B6'))
+    list(run_jobs(one, tmp_path / 'results', Executor(jobs=1)))
+    before = results()
+    with monkeypatch.context() as patch:
+        patch.setattr('trajectory_calibration.fleet.jobs.write_yaml', full)
+        with pytest.raises(ResultError, match='disk full'):
+            list(run_jobs(two, tmp_path / 'results', Executor(jobs=1)))
+    assert results() == before == [one[0].file_name]
+    list(run_jobs(two, tmp_path / 'results', Executor(jobs=1)))
+    assert results() == [two[0].file_name]
 
 
 @pytest.mark.once

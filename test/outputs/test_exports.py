@@ -185,7 +185,7 @@ def test_a_folder_of_all(tmp_path):
     assert len({path.name for path in written}) == len(EXPORTS)
     assert all(path.stat().st_size for path in written)
     (tmp_path / 'file').write_text('')
-    with pytest.raises(ResultError, match='cannot be written'):
+    with pytest.raises(ResultError, match='cannot be made: File exists'):
         write_exports(item(np.eye(4)), tmp_path / 'file')
 
 
@@ -193,7 +193,10 @@ def test_a_name_that_xacro_cannot_hold_is_refused(tmp_path):
     for name in ('a b', '$y', "a'"):
         with pytest.raises(ConfigError, match='xacro cannot hold the frame name'):
             EXPORTS['xacro'].write(item(np.eye(4), name))
+    write_exports(item(np.eye(4)), tmp_path)
     assert len(write_exports(item(np.eye(4), 'a b'), tmp_path)) == len(EXPORTS) - 1
+    # That of the earlier frames has gone.
+    assert not (tmp_path / 'extrinsic.xacro').exists()
 
 
 def test_two_frames_of_one_name_are_refused():

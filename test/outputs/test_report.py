@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The report: one file, small and fast, well formed, with the numbers of the result."""
 
+import hashlib
 from html.parser import HTMLParser
 import json
 import re
@@ -12,6 +13,7 @@ import pytest
 
 from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
 from trajectory_calibration.outputs.report import (
+    hash_inputs,
     render_box,
     render_failure,
     render_report,
@@ -229,3 +231,16 @@ def test_tracks_are_shown_upright_and_not_mirrored(up):
     assert names[2].strip('-') == 'xyz'[up]
     np.testing.assert_allclose(turned @ turned.T, np.eye(3))
     assert np.linalg.det(turned) == pytest.approx(1)
+
+
+def test_hashing_says_how_far_it_is(tmp_path):
+    bag, calls = tmp_path / 'bag', []
+    bag.mkdir()
+    (bag / 'one.mcap').write_bytes(bytes(3 << 20))
+    (tmp_path / 'a.tum').write_bytes(b'abc')
+    rows = hash_inputs([('bag', bag), ('a', tmp_path / 'a.tum'), ('b', tmp_path / 'gone')],
+                       lambda *call: calls.append(call))
+    total = (3 << 20) + 3
+    assert calls == [*((k << 20, total) for k in (1, 2, 3)), (total, total)]
+    assert rows[1] == ('a', str(tmp_path / 'a.tum'), '3', hashlib.sha256(b'abc').hexdigest())
+    assert rows[2][3] == 'not readable: No such file or directory'

@@ -14,9 +14,10 @@ from benchmarks.simulated_rig import Fault, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, ConfigError
 from trajectory_calibration.cli.main import main
 from trajectory_calibration.config.yaml_file import read_yaml
+from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.outputs.exports import placements
 from trajectory_calibration.outputs.frame_tree import FrameTree
+from trajectory_calibration.outputs.rig_exports import placements
 from trajectory_calibration.outputs.rig_report import render_rig
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.rig import RigResult
@@ -245,6 +246,62 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
         'max_time_offset: 1.0', 'max_time_offset: 1.0, allow_unobserved: true'))
     assert main(command) == 3
     assert 'UNOBSERVED: z of camera' in files[0].read_text()
+
+
+def test_no_export_of_an_earlier_rig_stays_beside_an_open_one(folder, tmp_path, capsys):
+    out = tmp_path / 'out'
+    command = ['rig', str(folder / 'RIG.yaml'), '--output', str(out)]
+    assert main(command) == 0
+    (out / 'rear' / 'notes.txt').write_text('of a person')
+    run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
+    for name in ('lidar', 'front'):
+        write_tum(tmp_path / f'{name}.tum', run.trajectories[name])
+    # One of the sensors is open, the other one has gone.
+    (tmp_path / 'RIG.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
+    command[1] = str(tmp_path / 'RIG.yaml')
+    assert main(command) == 2
+    assert (out / 'rig.urdf').is_file()
+    capsys.readouterr()
+    assert main([*command, '--force']) == 3
+    assert sorted(str(path.relative_to(out)) for path in out.rglob('*')) == [
+        'rear', 'rear/notes.txt', 'rig.yaml']
+    assert f'removed from {out}, as of an earlier answer: rig.urdf, ' in capsys.readouterr().err
+
+
+def test_frames_make_no_folder_outside_and_share_none(folder, tmp_path):
+    for name in ('lidar', 'front', 'rear'):
+        (tmp_path / f'{name}.tum').write_bytes((folder / f'{name}.tum').read_bytes())
+    for front, rear, names in (('..', 'rig.urdf', {'_.', 'rig.urdf_2'}),
+                               ('a/b', 'a_b', {'a_b', 'a_b_2'})):
+        (tmp_path / 'RIG.yaml').write_text(RIG.replace(
+            'frame: camera', f"frame: '{front}'").replace(
+            'file: rear.tum', f"file: rear.tum, frame: '{rear}'"))
+        out = tmp_path / 'below' / 'out'
+        assert main(['rig', str(tmp_path / 'RIG.yaml'), '--output', str(out), '--force']) == 0
+        assert {path.name for path in out.iterdir() if path.is_dir()} == names
+        assert not (out.parent / 'extrinsic.urdf').exists()
+        assert {FrameTree.read(out / name / 'extrinsic.urdf').joints.popitem()[0]
+                for name in names} == {front, rear}
+
+
+def test_a_report_that_cannot_be_written_takes_no_rig_away(folder, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise ResultError('disk full')
+
+    def none(*_):
+        raise AssertionError('calibrated, although the page cannot be written')
+
+    command = ['rig', str(folder / 'RIG.yaml'), '--report', str(tmp_path / 'x.html')]
+    with monkeypatch.context() as patch:
+        patch.setattr('trajectory_calibration.cli.rig.write_rig_page', full)
+        assert main(command) == 1
+        out, err = capsys.readouterr()
+        assert 'Rig of 3 sensors in lidar' in out
+        assert err == 'error: disk full\n'
+    monkeypatch.setattr('trajectory_calibration.cli.rig.calibrate_rig', none)
+    command[-1] = str(folder / 'RIG.yaml' / 'x.html')
+    assert main(command) == 1
+    assert 'RIG.yaml is a file; give another name' in capsys.readouterr().err
 
 
 def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):

@@ -176,7 +176,8 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     (tmp_path / 'taken' / 'a.tum').mkdir(parents=True)
     assert simulate_to(tmp_path / 'taken') == 1
     assert capsys.readouterr().err == (
-        f'error: {tmp_path}/taken/a.tum cannot be written: Is a directory\n')
+        f'error: {tmp_path}/taken/a.tum cannot be written: it is a folder; give '
+            'another name\n')
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 0
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
     err = capsys.readouterr().err

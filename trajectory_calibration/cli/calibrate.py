@@ -21,7 +21,7 @@ from trajectory_calibration.cli.report import (
     write_failure,
     write_pages,
 )
-from trajectory_calibration.config.yaml_file import make_folder, write_text, write_yaml
+from trajectory_calibration.config.yaml_file import make_folder, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
@@ -81,26 +81,28 @@ def run(arguments: argparse.Namespace) -> int:
     except CalibrationError as error:
         if arguments.report is not None:
             write_failure(error, loaded, config, arguments)
-            print(f'wrote {arguments.report}', file=sys.stderr)
         raise
-    written = []
-    if arguments.output is not None:
-        _write(result, truth, arguments.output)
-        written.append(arguments.output)
-        if Placement.of(result).kept_back:
-            print(f'no exports: {", ".join(result.observability.unobserved)} unknown. To write '
-                  f'one all the same: export {arguments.output / RESULT_FILE} --as FORMAT '
-                  '--allow-unobserved', file=sys.stderr)
-    written += write_pages(result, a, b, truth, arguments, arguments.report)
-    _print(result, truth, arguments, written)
+    written = [] if arguments.output is None else [arguments.output]
+    # No file that cannot be written takes the answer away, and no reader that has gone the files.
+    try:
+        _print(result, truth, arguments)
+        print(end='', flush=True)
+    finally:
+        if arguments.output is not None:
+            _write(result, truth, arguments.output)
+        written += write_pages(result, a, b, truth, arguments, arguments.report)
+    if arguments.format == 'text' and not arguments.quiet and written:
+        print('', *(f'wrote {path}' for path in written), sep='\n')
     return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that will be written, but for the exports beside a result."""
+    """Return the files that will be written."""
     files = plot_paths(arguments.plots)
     if arguments.output is not None:
-        files += [arguments.output / RESULT_FILE, arguments.output / TRANSFORM_FILE]
+        from trajectory_calibration.outputs.exports import EXPORT_FILES
+        files += [arguments.output / name for name in (
+            RESULT_FILE, TRANSFORM_FILE, *EXPORT_FILES)]
     if arguments.report is not None:
         files.append(arguments.report)
     return files
@@ -108,36 +110,46 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
     """Write the result, the bare transform as one row that other tools read, and the exports."""
-    row = (*result.T_a_b[:3, 3], *rotation_to_quaternion(result.T_a_b[:3, :3]))
-    text = f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
-    if result.observability.unobserved:
-        text += f'# not observed: {", ".join(result.observability.unobserved)}\n'
-    text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
+    from trajectory_calibration.outputs.exports import (
+        encode_exports,
+        EXPORT_FILES,
+        remove_others,
+        write_files,
+    )
+    item = Placement.of(result)
+    contents = {}
+    if not item.kept_back:
+        row = (*result.T_a_b[:3, 3], *rotation_to_quaternion(result.T_a_b[:3, :3]))
+        text = f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
+        if result.observability.unobserved:
+            text += f'# not observed: {", ".join(result.observability.unobserved)}\n'
+        text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
+        contents[TRANSFORM_FILE] = text.encode()
+        if result.frame_a != result.frame_b:
+            contents.update(encode_exports(item))
     try:
         make_folder(folder, ResultError)
+        removed = remove_others(folder, (TRANSFORM_FILE, *EXPORT_FILES), contents)
         write_yaml(folder / RESULT_FILE, result.to_dict(truth))
-        if Placement.of(result).kept_back:
-            return
-        write_text(folder / TRANSFORM_FILE, text)
-        if result.frame_a != result.frame_b:
-            from trajectory_calibration.outputs.exports import write_exports
-            write_exports(Placement.of(result), folder)
+        write_files(folder, contents)
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
+    if item.kept_back:
+        print(f'no exports: {", ".join(result.observability.unobserved)} unknown. To write one '
+              f'all the same: export {folder / RESULT_FILE} --as FORMAT --allow-unobserved',
+              file=sys.stderr)
+    if removed:
+        print(f'removed from {folder}, as of an earlier answer: '
+              f'{", ".join(path.name for path in removed)}', file=sys.stderr)
 
 
 def _print(
     result: CalibrationResult, truth: FloatArray | None, arguments: argparse.Namespace,
-    written: list[Path],
 ) -> None:
     text = format_transform(result) if arguments.quiet else format_result(
         result, truth, verbose=arguments.verbose, terminal=Terminal.of())
     print_as(arguments.format, result.to_dict(truth), text)
-    if arguments.format != 'text':
-        return
-    if arguments.quiet:
+    if arguments.format == 'text' and arguments.quiet:
         for found in result.findings:
             if found.level == 'serious':
                 print(f'serious: {" ".join(found.text.split())}', file=sys.stderr)
-    elif written:
-        print('', *(f'wrote {path}' for path in written), sep='\n')

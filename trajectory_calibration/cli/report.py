@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Sequence
 import json
+import os
 from pathlib import Path
 import shlex
 import sys
@@ -14,11 +15,11 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
-from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import to_yaml, write_text
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.extrinsic_file import FORMS, read_extrinsic
 from trajectory_calibration.result import CalibrationResult
@@ -84,15 +85,33 @@ def print_as(form: str, data: dict[str, Any], text: str) -> None:
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
-    """Raise ConfigError where one of the files exists, unless it may be overwritten."""
+    """Raise where one of the files cannot be written, before there is an answer to lose.
+
+    ConfigError for files that exist, unless they may be overwritten; ResultError for a folder that
+    cannot be made or written to.
+    """
+    paths = list(paths)
     taken = [path for path in paths if path.is_file()]
     if taken and not force:
         exist = f'and {len(taken) - 1} more exist' if len(taken) > 1 else 'exists'
         raise ConfigError(f'{taken[0]} {exist}; give --force to overwrite, or another name')
+    for path in paths:
+        if path.is_dir():
+            raise ResultError(f'{path} cannot be written: it is a folder; give another name')
+        folder = path.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        if not folder.is_dir():
+            raise ResultError(f'{path.parent} cannot be made: {folder} is a file; give another '
+                              'name')
+        # A device or a pipe is written to as it is.
+        if not path.exists() and not os.access(folder, os.W_OK | os.X_OK):
+            raise ResultError(f'{folder} cannot be written to; give another name, or correct its '
+                              'permissions')
 
 
 def plot_paths(folder: Path | None) -> list[Path]:
-    """Return the files of ``--plots``."""
+    """Return the files of ``--plots``; MissingPackageError where there is nothing to draw with."""
     if folder is None:
         return []
     from trajectory_calibration.outputs.plots import plot_files
@@ -109,10 +128,11 @@ def write_pages(
     from trajectory_calibration.outputs.report.data import report_data
     from trajectory_calibration.outputs.report.render import render
     written = []
+    record = None if page is None else record_of(arguments, _inputs(arguments))
     with running_clock('writing the report'):
         data = report_data(result, a, b, truth)
         if page is not None:
-            write_text(page, render(data, record_of(arguments, _inputs(arguments))))
+            write_text(page, render(data, record))
             written.append(page)
         if arguments.plots is not None:
             from trajectory_calibration.outputs.plots import save_plots
@@ -125,17 +145,27 @@ def write_failure(
     error: Exception, trajectories: tuple[Trajectory, ...], config: CalibrationConfig,
     arguments: argparse.Namespace,
 ) -> None:
-    """Write the page of a calibration without an answer."""
+    """Write the page of a calibration without an answer, and say so.
+
+    Where that fails, too, the reason stands beside the error, not in its place.
+    """
     from trajectory_calibration.outputs.report import render_failure
-    write_text(arguments.report, render_failure(
-        str(error), trajectories, config=config,
-        record=record_of(arguments, _inputs(arguments))))
+    try:
+        write_text(arguments.report, render_failure(
+            str(error), trajectories, config=config,
+            record=record_of(arguments, _inputs(arguments))))
+    except CalibrationError as failure:
+        print(f'no report: {failure}', file=sys.stderr)
+    else:
+        print(f'wrote {arguments.report}', file=sys.stderr)
 
 
 def record_of(arguments: argparse.Namespace, inputs: Sequence[tuple[str, Path]]) -> Record:
     """Return the command line and the hashes of the inputs."""
     from trajectory_calibration.outputs.report import hash_inputs, Record
-    return Record(shlex.join(['trajectory_calibration', *arguments.argv]), hash_inputs(inputs))
+    with progress_bar('hashing the inputs') as progress:
+        hashed = hash_inputs(inputs, progress)
+    return Record(shlex.join(['trajectory_calibration', *arguments.argv]), hashed)
 
 
 def _inputs(arguments: argparse.Namespace) -> list[tuple[str, Path]]:

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 import json
 from pathlib import Path
 import sys
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
@@ -21,7 +22,14 @@ from trajectory_calibration.config.yaml_file import make_folder, write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.outputs.comparison_table import rig_to_csv, rig_to_data, rig_to_text
-from trajectory_calibration.outputs.exports import RIG_FILES, write_rig_exports
+from trajectory_calibration.outputs.exports import remove_others, write_files
+from trajectory_calibration.outputs.rig_exports import (
+    placements,
+    rig_export_files,
+    rig_exports,
+    RIG_FILE,
+    RIG_FILES,
+)
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
@@ -32,7 +40,8 @@ from trajectory_calibration.rig.result import RigResult
 from trajectory_calibration.rig.settings import PAIRS, RigConfig, SensorSettings
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 
-RIG_FILE = 'rig.yaml'
+if TYPE_CHECKING:
+    from trajectory_calibration.outputs.report import Record
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -95,19 +104,16 @@ def run(arguments: argparse.Namespace) -> int:
             if Path(source).is_file()]
         with running_clock('calibrating'):
             rig = calibrate_rig(trajectories, config)
-    if arguments.output is not None:
-        make_folder(arguments.output, ResultError)
-        rig.save(arguments.output / RIG_FILE)
-        if kept_back := write_rig_exports(rig, arguments.output):
-            print(f'not exported: {"; ".join(kept_back)} unknown; rig --allow-unobserved writes '
-                  'them', file=sys.stderr)
-    if arguments.report is not None:
-        from trajectory_calibration.outputs.rig_report import render_rig
-        with running_clock('writing the report'):
-            text = render_rig(rig, trajectories, record_of(arguments, sources))
-        write_text(arguments.report, text)
-    print_as(arguments.format, rig.to_dict(), format_rig(
-        rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()))
+    # No file that cannot be written takes the answer away, and no reader that has gone the files.
+    try:
+        print_as(arguments.format, rig.to_dict(), format_rig(
+            rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()))
+        print(end='', flush=True)
+    finally:
+        if arguments.output is not None:
+            _write(rig, arguments.output, force=arguments.force)
+        if arguments.report is not None:
+            write_rig_page(rig, trajectories, record_of(arguments, sources), arguments.report)
     stream = sys.stdout if arguments.format == 'text' else sys.stderr
     for path in (arguments.output, arguments.report):
         if path is not None:
@@ -115,11 +121,40 @@ def run(arguments: argparse.Namespace) -> int:
     return exit_status.OPEN if rig.unobserved or rig.unplaced else exit_status.DONE
 
 
+def write_rig_page(
+    rig: RigResult, trajectories: Mapping[str, Trajectory], record: Record, path: Path,
+) -> None:
+    """Write the page of a rig."""
+    from trajectory_calibration.outputs.rig_report import render_rig
+    with running_clock('writing the report'):
+        write_text(path, render_rig(rig, trajectories, record))
+
+
 def _files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that will be written, but for the folders of single sensors."""
+    """Return the files that will be written, but for those whose names are of sensors."""
     files = [] if arguments.output is None else [
-        arguments.output / name for name in (RIG_FILE, *RIG_FILES)]
+        arguments.output / name for name in (RIG_FILE, *RIG_FILES.values())]
     return files if arguments.report is None else [*files, arguments.report]
+
+
+def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
+    """Write the rig and its exports; say what is not exported, and what was removed."""
+    contents = rig_exports(rig)
+    require_new([folder / name for name in contents], force=force)
+    names = rig_export_files(rig)
+    with suppress(ResultError, ConfigError):
+        # Sensors that have no answer any more had their exports named by the earlier rig.
+        names += rig_export_files(RigResult.load(folder / RIG_FILE))
+    make_folder(folder, ResultError)
+    removed = remove_others(folder, dict.fromkeys(names), contents)
+    rig.save(folder / RIG_FILE)
+    write_files(folder, contents)
+    if kept_back := [item.kept_back for item in placements(rig) if item.kept_back]:
+        print(f'not exported: {"; ".join(kept_back)} unknown; rig --allow-unobserved writes them',
+              file=sys.stderr)
+    if removed:
+        print(f'removed from {folder}, as of an earlier answer: '
+              f'{", ".join(str(path.relative_to(folder)) for path in removed)}', file=sys.stderr)
 
 
 def _read(

@@ -111,7 +111,7 @@ def _is_plain(text: str) -> bool:
 
 
 def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> None:
-    """Write plain data as YAML through a temporary file in the same folder and a rename.
+    """Write plain data as YAML, whole or not at all; it is on disk when this returns.
 
     Without ``overwrite``, the name of the temporary file is a claim to ``path``: of several
     processes one gets it. A claim that a power cut left behind stays, and so does the name.
@@ -125,19 +125,7 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
 
     """
     try:
-        temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
-        # Not through ``tempfile``, whose files are private: the kernel gives this one the
-        # permissions of any new file of this user.
-        with temporary.open('x', encoding='utf-8') as stream:
-            try:
-                if overwrite or not os.path.lexists(path):
-                    stream.write(to_yaml(data))
-                    stream.flush()
-                    os.fsync(stream.fileno())
-                    temporary.replace(path)
-                    return
-            finally:
-                temporary.unlink(missing_ok=True)
+        _write(path, to_yaml(data).encode(), overwrite=overwrite, lasting=True)
     except FileExistsError:
         raise
     except OSError as error:
@@ -145,7 +133,6 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
     except ValueError as error:
         # A path without a name, or with a zero byte in it.
         raise ResultError(f'{str(path)!r} cannot be written: {error}') from error
-    raise FileExistsError(path)
 
 
 def make_folder(path: Path, error: type[CalibrationError]) -> None:
@@ -159,9 +146,37 @@ def make_folder(path: Path, error: type[CalibrationError]) -> None:
 def write_text(
     path: Path, text: str | bytes, error: type[CalibrationError] = ResultError,
 ) -> None:
-    """Write over what is at ``path``, in UTF-8, in a folder that is made where there is none."""
+    """Write over what is at ``path``, whole or not at all, in UTF-8, in a folder that is made."""
     make_folder(path.parent, error)
     try:
-        path.write_bytes(text.encode() if isinstance(text, str) else text)
+        _write(path, text.encode() if isinstance(text, str) else text)
     except OSError as cause:
         raise error(f'{path} cannot be written: {cause.strerror or cause}') from cause
+
+
+def _write(path: Path, data: bytes, *, overwrite: bool = True, lasting: bool = False) -> None:
+    """Write a file through a temporary one in the same folder and a rename.
+
+    Of a link, the file that it names; a device or a pipe takes the bytes as they are. ``lasting``
+    waits for the disk: what can be made again need not. Raises OSError and ValueError.
+    """
+    if overwrite:
+        path = path.resolve() if path.is_symlink() else path
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_bytes(data)
+            return
+    temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
+    # Not through ``tempfile``, whose files are private: the kernel gives this one the
+    # permissions of any new file of this user.
+    with temporary.open('xb') as stream:
+        try:
+            if overwrite or not os.path.lexists(path):
+                stream.write(data)
+                stream.flush()
+                if lasting:
+                    os.fsync(stream.fileno())
+                temporary.replace(path)
+                return
+        finally:
+            temporary.unlink(missing_ok=True)
+    raise FileExistsError(path)

@@ -14,9 +14,9 @@ import hashlib
 from itertools import chain
 import json
 from pathlib import Path
-import re
 from typing import Any
 
+from trajectory_calibration.config.file_names import file_name
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, read_yaml, write_yaml
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
@@ -178,7 +178,7 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
 def _names(jobs: Sequence[Job]) -> list[str]:
     """Return names for files; of the jobs without one, those that tell them apart."""
     short = iter(short_names([job.bags[0] if job.bags else job.a for job in jobs if not job.name]))
-    return [re.sub(r'[^\w.+-]', '_', (job.name or next(short)).strip('/')) for job in jobs]
+    return [file_name(job.name or next(short)) for job in jobs]
 
 
 def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
@@ -227,8 +227,10 @@ def _calibrated(jobs: Sequence[Job], folder: Path, executor: Executor) -> Iterat
         if data is None:
             yield Entry(name, None, reason)
             continue
-        # Of the same job with other settings or inputs.
+        own = folder / jobs[k].file_name
+        write_yaml(own, data)
+        # Of the same job with other settings or inputs: gone when its successor is there.
         for path in folder.glob(f'{name}-{"[0-9a-f]" * 8}.yaml'):
-            path.unlink()
-        write_yaml(folder / jobs[k].file_name, data)
+            if path != own:
+                path.unlink(missing_ok=True)
         yield Entry(name, CalibrationResult.from_dict(data))

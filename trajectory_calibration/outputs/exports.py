@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A result, or a rig, in the formats of other tools, each as text that can be pasted.
+"""A result in the formats of other tools, each as text that can be pasted.
 
 ``EXPORTS`` is the registry: the command line, ``--output`` and the report take their choices
 from it. Every format holds the pose of the child in the parent, but for Kalibr's, and its
@@ -9,7 +9,7 @@ sentence says so. Numbers are written with all their digits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 import io
@@ -22,8 +22,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from trajectory_calibration.config.yaml_file import number, quoted
-from trajectory_calibration.errors import ConfigError, counted, ResultError
+from trajectory_calibration.config.yaml_file import number, quoted, write_text
+from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
@@ -31,12 +31,6 @@ from trajectory_calibration.outputs.screen import deviation_words
 
 if TYPE_CHECKING:
     from trajectory_calibration.result import CalibrationResult
-    from trajectory_calibration.rig.result import RigResult
-
-
-# What is written of a rig as a whole: one robot, a launch file, Autoware's kit, rows of poses.
-RIG_FILES = ('rig.urdf', 'static_transforms.launch.py', 'sensor_kit_calibration.yaml',
-             'transforms.tum')
 
 
 @dataclass(frozen=True)
@@ -151,7 +145,7 @@ def _static_tf(item: Placement) -> str:
         *(word for pair in _publisher_arguments(item) for word in pair)]) + '\n'
 
 
-def _launch_file(items: Sequence[Placement]) -> str:
+def launch_file(items: Sequence[Placement]) -> str:
     """Return a launch file that publishes the transforms."""
     nodes = ''
     for item in items:
@@ -206,7 +200,7 @@ def _tum(item: Placement) -> str:
             + f'{" ".join(["0", *xyz, *quaternion])}\n')
 
 
-def _sensor_kit(items: Iterable[Placement]) -> str:
+def sensor_kit(items: Iterable[Placement]) -> str:
     """Return Autoware's sensor_kit_calibration.yaml: every child under its parent."""
     lines, parent = '# sensor_kit_calibration.yaml, metres, radians\n', None
     for item in sorted(items, key=lambda item: item.parent):
@@ -241,7 +235,7 @@ EXPORTS: dict[str, Exporter] = {
         '(--frame-id)', 'static_transform.sh', _static_tf),
     'launch': Exporter(
         'launch file that publishes the pose of the child in the parent',
-        'static_transform.launch.py', lambda item: _launch_file([item])),
+        'static_transform.launch.py', lambda item: launch_file([item])),
     'matrix': Exporter(
         '4 x 4 numbers, the pose of the child in the parent: p_parent = T p_child', 'matrix.txt',
         lambda item: _comments(item) + _rows(item.T_parent_child, ' ')),
@@ -256,17 +250,21 @@ EXPORTS: dict[str, Exporter] = {
         'one row 0 x y z qx qy qz qw, the pose of the child in the parent', 'extrinsic.tum', _tum),
     'autoware': Exporter(
         'the pose of the child under its parent, as in sensor_kit_calibration.yaml',
-        'sensor_kit_calibration.yaml', lambda item: _sensor_kit([item])),
+        'sensor_kit_calibration.yaml', lambda item: sensor_kit([item])),
     'kalibr': Exporter(
         'camchain of two: T_cn_cnm1 maps points of the parent (cam0) to the child (cam1), the '
         'inverse of the pose of the child in the parent', 'camchain.yaml', _kalibr),
 }
 
 
-def write_exports(item: Placement, folder: Path) -> list[Path]:
-    """Write every format into a folder, which is made, over what is there; return the files.
+# The files of all formats, in a folder.
+EXPORT_FILES = tuple(exporter.file_name for exporter in EXPORTS.values())
 
-    Raises ConfigError where both frames have one name, ResultError where nothing can be written.
+
+def encode_exports(item: Placement) -> dict[str, bytes]:
+    """Return the contents of ``EXPORT_FILES``, without formats that cannot hold a frame's name.
+
+    Raises ConfigError where both frames have one name.
     """
     item.require_two_frames()
     contents = {}
@@ -274,57 +272,41 @@ def write_exports(item: Placement, folder: Path) -> list[Path]:
         # The other formats may well hold a name that this one cannot.
         with suppress(ConfigError):
             contents[exporter.file_name] = exporter.encode(item)
-    return _write_files(folder, contents)
+    return contents
 
 
-def _write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+def write_exports(item: Placement, folder: Path) -> list[Path]:
+    """Write every format into a folder, which is made, over what is there; return the files.
+
+    Raises ConfigError where both frames have one name, ResultError where nothing can be written.
+    """
+    contents = encode_exports(item)
+    remove_others(folder, EXPORT_FILES, contents)
+    return write_files(folder, contents)
+
+
+def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
     """Write files into a folder, which is made; return them. Raises ResultError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, data in contents.items():
-            (folder / name).write_bytes(data)
-    except OSError as error:
-        raise ResultError(f'{folder} cannot be written: {error.strerror or error}') from error
+    for name, data in contents.items():
+        write_text(folder / name, data)
     return [folder / name for name in contents]
 
 
-def placements(rig: RigResult) -> list[Placement]:
-    """Return every sensor but the bases, under the frame of its base.
+def remove_others(folder: Path, names: Iterable[str], contents: Container[str]) -> list[Path]:
+    """Remove the files of these names that are not written again; return those that were there.
 
-    Raises ConfigError where two sensors have one frame.
+    Beside a new result, exports of an earlier one would pass for its own. Raises ResultError.
     """
-    frames: dict[str, str] = {}
-    for name, sensor in rig.sensors.items():
-        if sensor.frame in frames:
-            raise ConfigError(
-                f'{frames[sensor.frame]} and {name} both have the frame {sensor.frame}; name it '
-                'below the sensor: "frame: NAME"')
-        frames[sensor.frame] = name
-    return [
-        Placement(
-            rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
-            origin=f'trajectory_calibration {rig.version}, rig of '
-            f'{counted(len(rig.sensors), "sensor")}',
-        ).leaving(sensor.unobserved, rig.config.calibration)
-        for name, sensor in rig.sensors.items() if name != sensor.base]
-
-
-def write_rig_exports(rig: RigResult, folder: Path) -> list[str]:
-    """Write the files of the whole tree, and a folder of all formats for each sensor.
-
-    Return what of the rig is ``kept_back``, whose sensors are left out of every file. Raises as
-    ``placements`` and ``write_exports``.
-    """
-    every = placements(rig)
-    items = [item for item in every if not item.kept_back]
-    if items:
-        urdf = ''.join(f'<link name={quoteattr(rig.sensors[base].frame)}/>\n'
-                       for base in rig.trees) + ''.join(map(EXPORTS['urdf'].write, items))
-        body = ''.join(f'  {line}\n' for line in urdf.splitlines())
-        texts = (f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n',
-                 _launch_file(items), _sensor_kit(items),
-                 ''.join(map(EXPORTS['tum'].write, items)))
-        _write_files(folder, dict(zip(RIG_FILES, map(str.encode, texts), strict=True)))
-    for item in items:
-        write_exports(item, folder / item.child.strip('/').replace('/', '_'))
-    return [item.kept_back for item in every if item.kept_back]
+    removed = [path for name in names if name not in contents
+               and (path := folder / name).is_file()]
+    try:
+        for path in removed:
+            path.unlink()
+    except OSError as error:
+        raise ResultError(f'{path} is of an earlier answer and cannot be removed: '
+                          f'{error.strerror or error}') from error
+    for below in {path.parent for path in removed} - {folder}:
+        # What a person put there stays.
+        with suppress(OSError):
+            below.rmdir()
+    return removed

@@ -8,13 +8,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
 
+from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import ResultError
+from trajectory_calibration.errors import require
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows
 from trajectory_calibration.outputs.report import drawings as draw
@@ -51,29 +53,26 @@ def plot(
 
 def save_plots(data: ReportData, folder: Path) -> None:
     """Write every figure in each format; raises ResultError where that cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, drawn in _FIGURES.items():
-            figure = drawn(data)
-            # Laid out once, not for each format.
-            figure.draw_without_rendering()
-            figure.set_layout_engine('none')
-            for kind in FORMATS:
-                figure.savefig(folder / f'{name}.{kind}', dpi=130)
-    except OSError as error:
-        raise ResultError(
-            f'{folder} cannot be written: {error.strerror or error}; give another folder'
-        ) from error
+    for name, drawn in _FIGURES.items():
+        figure = drawn(data)
+        # Laid out once, not for each format.
+        figure.draw_without_rendering()
+        figure.set_layout_engine('none')
+        for kind in FORMATS:
+            stream = BytesIO()
+            figure.savefig(stream, format=kind, dpi=130)
+            write_text(folder / f'{name}.{kind}', stream.getvalue())
 
 
 def plot_files(folder: Path) -> list[Path]:
-    """Return the files that ``save_plots`` writes."""
+    """Return the files that ``save_plots`` writes; MissingPackageError where it cannot draw."""
+    require('matplotlib.figure')
     return [folder / f'{name}.{kind}' for name in _FIGURES for kind in FORMATS]
 
 
 def _figure(width: float, height: float, title: str) -> Figure:
-    from matplotlib.figure import Figure
-    figure = Figure(figsize=(width, height), layout='constrained')
+    figure: Figure = require('matplotlib.figure').Figure(
+        figsize=(width, height), layout='constrained')
     figure.suptitle(title, fontsize=11, fontweight='bold')
     return figure
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 import hashlib
 from html import escape
 from pathlib import Path
@@ -27,21 +27,30 @@ class Record(NamedTuple):
     inputs: tuple[tuple[str, str, str, str], ...] = ()
 
 
-def hash_inputs(paths: Iterable[tuple[str, Path]]) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the inputs of (role, path); of a folder, a bag, its files one by one."""
-    found = []
-    for role, path in paths:
-        files = sorted(item for item in path.rglob('*') if item.is_file()) \
-            if path.is_dir() else [path]
-        for item in files:
-            digest = hashlib.sha256()
-            try:
-                with item.open('rb') as stream:
-                    while block := stream.read(_BLOCK):
-                        digest.update(block)
-                found.append((role, str(item), f'{item.stat().st_size:,}', digest.hexdigest()))
-            except OSError as error:
-                found.append((role, str(item), '0', f'not readable: {error.strerror}'))
+def hash_inputs(
+    paths: Iterable[tuple[str, Path]], progress: Callable[[int, int], None] | None = None,
+) -> tuple[tuple[str, str, str, str], ...]:
+    """Return the inputs of (role, path); of a folder, a bag, its files one by one.
+
+    ``progress`` is called with the bytes that are read, and those of all files.
+    """
+    files = [(role, item) for role, path in paths for item in (
+        sorted(item for item in path.rglob('*') if item.is_file()) if path.is_dir() else [path])]
+    total = sum(item.stat().st_size for _, item in files if item.exists())
+    found, done = [], 0
+    for role, item in files:
+        digest, size = hashlib.sha256(), 0
+        try:
+            with item.open('rb') as stream:
+                while block := stream.read(_BLOCK):
+                    digest.update(block)
+                    size += len(block)
+                    if progress is not None:
+                        progress(done + size, max(total, done + size))
+            found.append((role, str(item), f'{size:,}', digest.hexdigest()))
+        except OSError as error:
+            found.append((role, str(item), '0', f'not readable: {error.strerror}'))
+        done += size
     return tuple(found)
 
 

@@ -1,0 +1,93 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""A rig in the formats of other tools: as a whole, and sensor by sensor."""
+
+from __future__ import annotations
+
+from xml.sax.saxutils import quoteattr
+
+from trajectory_calibration.config.file_names import file_names
+from trajectory_calibration.errors import ConfigError, counted
+from trajectory_calibration.outputs.exports import (
+    encode_exports,
+    EXPORT_FILES,
+    EXPORTS,
+    launch_file,
+    sensor_kit,
+)
+from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.rig.result import RigResult
+
+# The rig itself, and the formats in which it is written as a whole: one robot, a launch file,
+# Autoware's kit, rows of poses.
+RIG_FILE = 'rig.yaml'
+RIG_FILES = {
+    'urdf': 'rig.urdf', 'launch': 'static_transforms.launch.py',
+    'autoware': 'sensor_kit_calibration.yaml', 'tum': 'transforms.tum'}
+
+
+def placements(rig: RigResult) -> list[Placement]:
+    """Return every sensor but the bases, under the frame of its base.
+
+    Raises ConfigError where two sensors have one frame.
+    """
+    frames: dict[str, str] = {}
+    for name, sensor in rig.sensors.items():
+        if sensor.frame in frames:
+            raise ConfigError(
+                f'{frames[sensor.frame]} and {name} both have the frame {sensor.frame}; name it '
+                'below the sensor: "frame: NAME"')
+        frames[sensor.frame] = name
+    return [
+        Placement(
+            rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
+            origin=f'trajectory_calibration {rig.version}, rig of '
+            f'{counted(len(rig.sensors), "sensor")}',
+        ).leaving(sensor.unobserved, rig.config.calibration)
+        for name, sensor in rig.sensors.items() if name != sensor.base]
+
+
+def rig_exports(rig: RigResult) -> dict[str, bytes]:
+    """Return the files of the whole tree, and a folder of all formats for each sensor, by path.
+
+    What of a sensor is ``kept_back`` leaves it out of every file. Raises as ``placements``.
+    """
+    items = {folder: item for folder, item in _folders(rig).items() if not item.kept_back}
+    if not items:
+        return {}
+    contents = {RIG_FILES[name]: encode_rig(rig, name) for name in RIG_FILES}
+    for folder, item in items.items():
+        contents.update((f'{folder}/{name}', data) for name, data in encode_exports(item).items())
+    return contents
+
+
+def rig_export_files(rig: RigResult) -> list[str]:
+    """Return the paths that ``rig_exports`` has where nothing is kept back; raises alike."""
+    return [*RIG_FILES.values(),
+            *(f'{folder}/{name}' for folder in _folders(rig) for name in EXPORT_FILES)]
+
+
+def _folders(rig: RigResult) -> dict[str, Placement]:
+    """Return the sensors by the names of their folders, which are no other file's."""
+    items = placements(rig)
+    names = file_names((item.child for item in items), (RIG_FILE, *RIG_FILES.values()))
+    return dict(zip(names, items, strict=True))
+
+
+def encode_rig(rig: RigResult, name: str, *, allow_unobserved: bool = False) -> bytes:
+    """Return a rig as one file in a format of ``RIG_FILES``, without what is ``kept_back``.
+
+    Raises as ``placements``.
+    """
+    items = [item for item in placements(rig) if allow_unobserved or not item.kept_back]
+    if name == 'launch':
+        return launch_file(items).encode()
+    if name == 'autoware':
+        return sensor_kit(items).encode()
+    parts = ''.join(map(EXPORTS[name].write, items))
+    if name == 'urdf':
+        links = ''.join(f'<link name={quoteattr(rig.sensors[base].frame)}/>\n'
+                        for base in rig.trees)
+        body = ''.join(f'  {line}\n' for line in f'{links}{parts}'.splitlines())
+        parts = f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n'
+    return parts.encode()
