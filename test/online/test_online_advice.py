@@ -344,3 +344,14 @@ def test_a_failure_is_old_news_after_a_fifth_more_motion():
     assert state.has_moved_on(NO_MOTION)
     state.reset()
     assert state.last_failure == ''
+
+
+def test_a_refused_answer_of_before_is_told_until_there_is_another():
+    state, session = CalibrationState(), filled(drive(100))
+    result = session.job(CalibrationConfig(solver='taylor')).run().result
+    for end in (lambda: state.succeeded(result), state.reset):
+        state.not_restored = 'not restored: because'
+        state.failed('because')
+        assert state.not_restored == 'not restored: because'
+        end()
+        assert (state.not_restored, state.last_failure) == ('', '')

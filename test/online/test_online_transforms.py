@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A chain of transforms gives the answer of the Odometry, replayed and offline.."""
+"""A chain of transforms gives the answer of the Odometry; what a replay leaves open."""
 
 import json
 
@@ -11,13 +11,13 @@ from trajectory_calibration.cli.main import main
 from trajectory_calibration.geometry import se3
 
 
-def simulated(poses):
+def simulated(poses, axes=range(3)):
     """Return the stamps of a drive at 10 Hz and the (N, 4, 4) poses of both sensors."""
     rng = np.random.default_rng(3)
     time_s = np.arange(poses) / 10
     twists = np.zeros((poses, 6))
     twists[:, 0] = 0.1
-    for axis in range(3):
+    for axis in axes:
         twists[:, 3 + axis] = 0.05 * np.sin(rng.uniform(0.3, 1.2) * time_s + axis)
     T_w_a = np.empty((poses, 4, 4))
     T_w_a[0] = np.eye(4)
@@ -26,13 +26,13 @@ def simulated(poses):
     return (1000 + time_s) * 1e9, T_w_a, T_w_a @ se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 
 
-def transform_bags(folder, poses=200):
+def transform_bags(folder, poses=200, axes=range(3)):
     """Write one drive twice: as Odometry, and as map -> odom -> base_link of /tf.
 
     The odometry drifts, and its correction in the map jumps as at loop closures.
     """
     bag_writing = pytest.importorskip('bag_writing', reason='rosbags is missing')
-    stamps_ns, poses_a, poses_b = simulated(poses)
+    stamps_ns, poses_a, poses_b = simulated(poses, axes)
     rng = np.random.default_rng(8)
     T_odom_base = poses_a @ se3.exp_se3(np.cumsum(rng.normal(size=(poses, 6)) * 0.01, axis=0))
     T_map_odom = poses_a @ se3.inverse(T_odom_base)
@@ -75,3 +75,17 @@ def test_a_chain_of_transforms_gives_the_answer_of_the_odometry(tmp_path, capsys
     for key in ('translation', 'rotation_xyzw'):
         assert np.abs(np.subtract(
             odometry['T_a_b'][key], chain['T_a_b'][key])).max() < 1e-9
+
+
+def test_a_replay_prints_an_answer_with_an_open_direction_and_ends_with_its_status(
+        tmp_path, capsys):
+    bag, _ = transform_bags(tmp_path, axes=[2])
+    words = ['replay', str(bag), '-p', 'topic_a:=/lidar', '-p', 'topic_b:=/camera']
+    assert main(words) == 3
+    shown = capsys.readouterr()
+    assert shown.err == ''
+    assert shown.out.startswith('base_link -> camera: translation [')
+    assert ', unknown] m, rotation xyzw [' in shown.out
+    assert '\n - unobservable: z\n' in shown.out
+    assert main([*words, '--format', 'json']) == 3
+    assert json.loads(capsys.readouterr().out)['T_a_b']['status']['z'] == 'unobserved'

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The solver process: one job at a time, stopped when asked, nothing left behind. Needs no ROS."""
 
+from dataclasses import replace
 import os
 import pickle
 import signal
@@ -73,6 +74,27 @@ def test_jobs_are_solved_one_after_the_other():
         assert isinstance(outcome, Calibration)
         assert np.allclose(outcome.result.T_a_b, T_A_B, atol=1e-10)
     assert not waiting.solver.busy
+
+
+@pytest.mark.parametrize('allowed', [False, True])
+def test_an_open_direction_is_an_answer_that_the_node_keeps_back(allowed):
+    twists = np.zeros((400, 6))
+    twists[:, 0], twists[:, 5] = 0.3, 0.1 * np.sin(0.07 * np.arange(400))
+    a = se3.exp_se3(twists)
+    for k in range(1, len(a)):
+        a[k] = a[k - 1] @ a[k]
+    track_a = track(a, 'lidar')
+    answer = CalibrationJob(
+        replace(track_a, warnings=('lidar: 2 poses refused (2 no stamp)',)),
+        track(a @ T_A_B, 'camera'),
+        CalibrationConfig(allow_unobserved=allowed)).run()
+    assert answer.result.observability.unobserved == ('z',)
+    if allowed:
+        assert answer.refusal == ''
+        return
+    assert answer.refusal.startswith('not published: z of camera in lidar unobservable. ')
+    assert 'prior_translation:=-,-,Z prior_translation_std:=0.01' in answer.refusal
+    assert answer.refusal.endswith('; lidar: 2 poses refused (2 no stamp)')
 
 
 def test_a_named_error_arrives_as_it_was_raised():

@@ -10,7 +10,7 @@ import re
 from typing import NamedTuple
 
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import CalibrationError, MotionError
+from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.overlay import make_overlay, Overlay
 from trajectory_calibration.online.track import Track
@@ -25,6 +25,18 @@ class Calibration(NamedTuple):
     result: CalibrationResult
     overlay: Overlay
 
+    @property
+    def refusal(self) -> str:
+        """Return why the node does not publish it and what to do, '' where it does.
+
+        It keeps back an answer with a direction that neither the motion nor a prior determined,
+        unless ``allow_unobserved``. The text ends with what was refused of the tracks.
+        """
+        unknown = Placement.of(self.result).kept_back
+        notes = [found.text for found in self.result.findings if found.code == 'input-repaired']
+        return unknown and '; '.join([
+            f'not published: {unknown} unobservable. {_way_out(self.result)}', *notes])
+
 
 @dataclass(frozen=True, eq=False)
 class CalibrationJob:
@@ -35,16 +47,10 @@ class CalibrationJob:
     config: CalibrationConfig
 
     def run(self) -> Calibration:
-        """Calibrate; an answer that must not go out is a CalibrationError as any other failure.
-
-        That is one with a direction that neither the motion nor a prior determined, unless
-        ``allow_unobserved``. The message ends with what was refused of the tracks.
-        """
+        """Calibrate; a CalibrationError ends with what was refused of the tracks."""
         try:
             a, b = self.track_a.trajectory(), self.track_b.trajectory()
             result = calibrate(a, b, self.config)
-            if unknown := Placement.of(result).kept_back:
-                raise MotionError(f'not published: {unknown} unobservable. {_way_out(result)}')
             return Calibration(result, make_overlay(a, b, result))
         except CalibrationError as error:
             # What was refused may be why.

@@ -26,7 +26,8 @@ class CalibrationState:
 
     def succeeded(self, result: CalibrationResult) -> None:
         """Take a new answer."""
-        self.result, self.last_failure, self.calibrated = result, '', True
+        self.result, self.calibrated = result, True
+        self.last_failure = self.not_restored = ''
 
     def failed(self, why: str) -> None:
         """Take a failure; the answer before it stays."""
@@ -36,6 +37,8 @@ class CalibrationState:
         """Forget all but the answer."""
         # Whether the answer was found since, and why the last calibration failed.
         self.calibrated, self.last_failure = False, ''
+        # Why a saved answer was refused: unlike a failure, no motion mends that.
+        self.not_restored = ''
         self._tried = NO_MOTION
 
     def has_moved_on(self, motion: Motion) -> bool:

@@ -18,7 +18,7 @@ from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
 from std_srvs.srv import Trigger
 
-from trajectory_calibration.errors import CalibrationError, ConfigError, counted, ResultError
+from trajectory_calibration.errors import ConfigError, counted, ResultError
 from trajectory_calibration.online.answer import describe
 from trajectory_calibration.online.background import Background
 from trajectory_calibration.online.motion import count_pairs, measure, Motion
@@ -234,7 +234,8 @@ class CalibrationNode(Node):
         try:
             found = self._store.latest()
         except ResultError as error:
-            self.get_logger().error(f'nothing restored: {error}')
+            self._state.not_restored = f'nothing restored: {error}'
+            self.get_logger().error(self._state.not_restored)
             return None
         if found is None:
             self.get_logger().warning('nothing restored: result_directory holds no result yet')
@@ -250,7 +251,7 @@ class CalibrationNode(Node):
             return
         restored, self._restored = self._restored, None
         if refusal:
-            self._state.last_failure = refusal
+            self._state.not_restored = refusal
             self.get_logger().error(refusal)
             return
         self._state.result = restored.result
@@ -269,14 +270,15 @@ class CalibrationNode(Node):
         if not self._solver.busy:
             return
         outcome = self._solver.take_outcome()
+        failure = outcome.refusal if isinstance(outcome, Calibration) else str(outcome)
         if isinstance(outcome, StoppedError):
             # Not a failure: whoever stopped it knows.
-            self.get_logger().info(f'calibration {outcome}')
-            answer = False, str(outcome)
-        elif isinstance(outcome, CalibrationError):
-            self._state.failed(str(outcome))
+            self.get_logger().info(f'calibration {failure}')
+            answer = False, failure
+        elif failure:
+            self._state.failed(failure)
             self.get_logger().warning(self._state.last_failure)
-            answer = False, str(outcome)
+            answer = False, failure
         else:
             result = outcome.result
             self._state.succeeded(result)
@@ -359,7 +361,7 @@ class CalibrationNode(Node):
         result = self._state.result
         return CalibrationView(
             self._state, motion, self._background.advice, _limits(values), apart_s, solving,
-            '' if self._restored is None else self._restored.waiting,
+            self._state.not_restored if self._restored is None else self._restored.waiting,
             {
                 'solver': values['solver'],
                 'overlap_s': f'{max(0.0, -apart_s):.3f}',
