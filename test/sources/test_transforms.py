@@ -156,8 +156,29 @@ def test_a_follower_gives_the_same_while_the_transforms_arrive(every):
     expected_ns, expected = tree.compose('map', 'lidar')
     np.testing.assert_array_equal(np.concatenate([part[0] for part in parts]), expected_ns)
     np.testing.assert_allclose(np.concatenate([part[1] for part in parts]), expected, atol=1e-12)
-    assert sum(len(edge.samples[0]) for edge in follower._tree.edges) < 20
+    assert sum(len(edge.samples[0]) for edge in follower._tree.edges) < 40
     assert len(expected_ns) == len(stamps_ns)
+
+
+def test_a_follower_interpolates_no_gap_either():
+    tree = TransformTree()
+    stamps_ns, odom = moving(1000, 1)
+    late_ns, correction = moving(200, 2, 5 * STEP_NS)
+    keep = (late_ns < 400 * STEP_NS) | (late_ns > 600 * STEP_NS)
+    tree.extend('odom', 'base', stamps_ns, odom)
+    tree.extend('map', 'odom', late_ns[keep], correction[keep])
+    follower = ChainFollower('map', 'base')
+    found, said = [], set()
+    for stamp_ns, parent, child, pose in sorted(
+            (stamp_ns, edge.parent, edge.child, pose) for edge in tree.edges
+            for stamp_ns, pose in zip(edge.samples[0].tolist(), edge.samples[1].tolist(),
+                                      strict=True)):
+        follower.add(parent, child, stamp_ns, pose)
+        found += follower.take()[0].tolist()
+        said.add(follower.waiting_for)
+    assert found == tree.compose('map', 'base')[0].tolist()
+    assert 'map -> odom is silent: does its sender run?' in said
+    assert follower.waiting_for == ''
 
 
 def test_a_follower_says_what_it_waits_for():

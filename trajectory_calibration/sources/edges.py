@@ -28,6 +28,8 @@ _RESTART_NS = 1_000_000_000
 _KEPT_NS = 60_000_000_000
 _MOST_KEPT = 60_000
 _BLOCK = 1000
+# So many before the last pose stay as well: they tell the usual step.
+_SPARE = 10
 
 
 # What ``pose_faults`` tells apart, in words.
@@ -110,10 +112,10 @@ class Edge:
         self._stamps_ns, self._poses, self._waiting = np.zeros(0, np.int64), np.zeros((0, 7)), []
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Drop what no later pose needs."""
+        """Drop what no later pose needs, but for some that tell the usual step."""
         stamps_ns, poses = self.samples
         if not self.static:
-            first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - 1, 0)
+            first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - _SPARE, 0)
             self._stamps_ns, self._poses = stamps_ns[first:], poses[first:]
 
     def _settle(self) -> None:
@@ -155,9 +157,14 @@ def covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[n
     left = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
     inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
     step = stamps_ns[np.minimum(right, len(stamps_ns) - 1)] - stamps_ns[left]
-    usual = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
-    found: NDArray[np.bool_] = inside & (step <= max(_GAP_NS, _GAP_FACTOR * usual))
+    found: NDArray[np.bool_] = inside & (step <= longest_step_ns(stamps_ns))
     return found
+
+
+def longest_step_ns(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the time between two of (N,) stamps, nanoseconds, beyond which they are a gap."""
+    usual = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
+    return max(_GAP_NS, _GAP_FACTOR * usual)
 
 
 def interpolated(

@@ -29,7 +29,14 @@ from numpy.typing import ArrayLike, NDArray
 from trajectory_calibration.errors import ConfigError, counted, TopicError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.sources.edges import covered, Edge, fault_words, interpolated, matrices
+from trajectory_calibration.sources.edges import (
+    covered,
+    Edge,
+    fault_words,
+    interpolated,
+    longest_step_ns,
+    matrices,
+)
 
 TF_PREFIX = 'tf:'
 
@@ -227,7 +234,17 @@ class ChainFollower:
             self._given_ns = int(stamps_ns[-1])
             for edge in self._chain:
                 edge.forget_before(self._given_ns)
+        elif silent := self._silent():
+            raise TopicError(f'{silent} is silent: does its sender run?')
         return stamps_ns, poses
+
+    def _silent(self) -> str:
+        """Return the edges of the chain that gave nothing for longer than one can interpolate."""
+        moving = {edge: edge.samples[0] for edge in self._chain if not edge.static}
+        newest_ns = max(int(stamps_ns[-1]) for stamps_ns in moving.values())
+        return ', '.join(sorted(
+            str(edge) for edge, stamps_ns in moving.items()
+            if newest_ns - int(stamps_ns[-1]) > longest_step_ns(stamps_ns)))
 
 
 def names_frames(name: str) -> bool:
