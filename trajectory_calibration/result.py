@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from datetime import datetime, timezone
 from functools import partial
@@ -219,12 +219,10 @@ class CalibrationResult:
                     f'result has the format {data["format_version"]}, this version reads '
                     f'{FORMAT_VERSION}; install the version that wrote it '
                     f'({data.get("package_version")})')
-            pose = data['T_a_b']
-            rotation = se3.quaternion_to_rotation(_unit(pose['rotation_xyzw']))
             ranges = data['inlier_motions']
             findings = _findings(data)
             return cls(
-                T_a_b=se3.from_rotation_translation(rotation, _finite(pose['translation'], (3,))),
+                T_a_b=pose_from(data['T_a_b']),
                 metrics=RelativeErrors(
                     _number(data['e_rt_m']), float(np.deg2rad(_number(data['e_rR_deg'])))),
                 inliers=None if ranges is None else _mask(ranges, _count(data['motions'])),
@@ -302,28 +300,32 @@ def _association(data: Any) -> AssociationSummary:
         item.name: read[str(item.type)](given[item.name]) for item in fields(AssociationSummary)})
 
 
-def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
+def finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return numbers of a file as an array; raise ValueError for another shape, or NaN."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise ValueError(f'found {values!r}, needed {shape} finite numbers')
     return array
 
 
-def _unit(quaternion_xyzw: Any) -> FloatArray:
-    """Return the (4,) quaternion with the rounding of its digits removed."""
-    q = _finite(quaternion_xyzw, (4,))
+def pose_from(data: Mapping[str, Any]) -> FloatArray:
+    """Return the (4, 4) pose of a file, with the rounding of its digits removed.
+
+    Raises ResultError for a quaternion that is no rotation, else as ``finite``.
+    """
+    q = finite(data['rotation_xyzw'], (4,))
     with np.errstate(over='ignore'):
         norm = float(np.linalg.norm(q))
     if not abs(norm - 1) <= ROTATION_TOLERANCE:
         raise ResultError(
             f'rotation_xyzw is no rotation: its norm is {norm:.6g}, off 1 by more than '
             f'{ROTATION_TOLERANCE}; restore the file as it was saved')
-    unit: FloatArray = q / norm
-    return unit
+    return se3.from_rotation_translation(
+        se3.quaternion_to_rotation(q / norm), finite(data['translation'], (3,)))
 
 
 def _covariance(values: Any) -> FloatArray:
-    P = _finite(values, (6, 6))
+    P = finite(values, (6, 6))
     # What rounding leaves of a variance of zero, or of a symmetric sum.
     rounding = 1e-9 * np.abs(P).max()
     if (np.diagonal(P) < -rounding).any():

@@ -25,6 +25,7 @@ from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.result import finite, pose_from
 from trajectory_calibration.rig.noise import SensorNoise
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.shared_noise import twist_to_step
@@ -244,9 +245,11 @@ class RigResult:
             sensors = {str(name): _sensor_from_dict(str(name), item)
                        for name, item in data['sensors'].items()}
             free = tuple(map(str, data['covariance_of']))
-            covariance = _finite(data['covariance'], (6 * len(free), 6 * len(free)))
+            # Without a free sensor a list of lists is an empty list.
+            shape = 6 * len(free), 6 * len(free)
             return cls(
-                base=str(data['base']), sensors=sensors, covariance=covariance, free=free,
+                base=str(data['base']), sensors=sensors, free=free,
+                covariance=finite(np.reshape(data['covariance'], shape), shape),
                 pairs=tuple(_pair_from_dict(item) for item in data['pairs']),
                 contradictions=tuple(Contradiction(**item) for item in data['contradictions']),
                 chi_squared=float(data['chi_squared']),
@@ -296,13 +299,6 @@ def twist_rows(rig: RigResult, name: str) -> FloatArray:
     return rows
 
 
-def _finite(values: Any, shape: tuple[int, ...]) -> FloatArray:
-    array = np.array(values, dtype=np.float64).reshape(shape)
-    if not np.isfinite(array).all():
-        raise ValueError('a covariance has numbers that are not finite')
-    return array
-
-
 def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
     T = sensor.T_base_sensor
     values = {
@@ -319,17 +315,10 @@ def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
 
 
 def _sensor_from_dict(name: str, data: Mapping[str, Any]) -> SensorAnswer:
-    pose = data['T_base_sensor']
-    quaternion = np.array(pose['rotation_xyzw'], dtype=np.float64)
-    translation = np.array(pose['translation'], dtype=np.float64)
-    norm = float(np.linalg.norm(quaternion))
-    if quaternion.shape != (4,) or translation.shape != (3,) or not abs(norm - 1) < 0.01:
-        raise ValueError(f'the pose of {name} is none')
     return SensorAnswer(
         name=name, frame=str(data['frame']), base=str(data['base']),
-        T_base_sensor=se3.from_rotation_translation(
-            se3.quaternion_to_rotation(quaternion / norm), translation),
-        covariance=_finite(data['covariance'], (6, 6)),
+        T_base_sensor=pose_from(data['T_base_sensor']),
+        covariance=finite(data['covariance'], (6, 6)),
         status={str(key): str(value) for key, value in data['status'].items()},
         scale=float(data['scale']), scale_std=float(data['scale_std']),
         clock=Clock(**data['clock']),
