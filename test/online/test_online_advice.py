@@ -15,8 +15,7 @@ from trajectory_calibration.online.advice import Advice, AdviceJob
 from trajectory_calibration.online.background import Background, Budget
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.motion import measure, NO_MOTION
-from trajectory_calibration.online.session import CalibrationSession
-from trajectory_calibration.online.state import CalibrationState
+from trajectory_calibration.online.session import CalibrationSession, CalibrationState
 from trajectory_calibration.online.track import Track
 from trajectory_calibration.online.verification import Monitor, MonitorJob, Verdict
 from trajectory_calibration.online.worker import StoppedError

@@ -6,7 +6,7 @@ import numpy as np
 
 from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.online.overlay import make_overlay
+from trajectory_calibration.online.session import make_overlay
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 

@@ -1,6 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A buffer for each sensor and what is calibrated from them: what the node and a replay share."""
+"""A buffer for each sensor, what is calibrated from them, and what came of it.
+
+The node and a replay share it.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,52 @@ from dataclasses import dataclass
 import re
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError
+from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
-from trajectory_calibration.online.overlay import make_overlay, Overlay
+from trajectory_calibration.online.motion import Motion, NO_MOTION
 from trajectory_calibration.online.track import Track
 from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.outputs.report.tracks import corrected_b, registration
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.time_alignment.align import match_at
+from trajectory_calibration.time_alignment.clock_offset import Clock
+
+# More poses than a person can tell apart only slow the display down.
+_MOST_POSES = 2000
+# How much more motion, of that which it had, there must be before a calibration that failed says
+# nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
+_MORE_MOTION = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """The (K, 4, 4) poses of sensor a in its world, as a and as b reported them.
+
+    Those of b are ``Z B_k T_a_b^-1``: carried to a by the extrinsic, and into the world of a by
+    the Z that fits all of them best.
+    """
+
+    world_frame: str
+    stamps_ns: NDArray[np.int64]
+    poses_a: FloatArray
+    poses_b: FloatArray
+
+
+def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
+    """Lay the tracks of a calibration over each other."""
+    pairs = match_at(a, corrected_b(result, b), Clock(0.0), result.config)
+    pairs = pairs.thinned(-(-len(pairs) // _MOST_POSES))
+    poses_a, poses_b = pairs.poses_a, pairs.poses_b @ se3.inverse(result.T_a_b)
+    return Overlay(a.world_frame, pairs.stamps_ns, poses_a,
+                   registration(poses_a, poses_b) @ poses_b)
 
 
 class Calibration(NamedTuple):
@@ -97,6 +138,52 @@ class CalibrationSession:
         """Forget all poses and counts."""
         for buffer in self.buffers:
             buffer.clear()
+
+
+class CalibrationState:
+    """The outcome of the calibrations so far."""
+
+    def __init__(self) -> None:
+        # The last answer, of this run or restored.
+        self.result: CalibrationResult | None = None
+        self.reset()
+
+    def started(self, motion: Motion) -> None:
+        """Note the motion that a calibration begins with."""
+        self._tried = motion
+
+    def succeeded(self, result: CalibrationResult) -> None:
+        """Take a new answer."""
+        self.result, self.calibrated = result, True
+        self.last_failure = self.not_restored = ''
+
+    def failed(self, why: str) -> None:
+        """Take a failure; the answer before it stays."""
+        self.last_failure = f'calibration failed: {why}'
+
+    def reset(self) -> None:
+        """Forget all but the answer."""
+        # Whether the answer was found since, and why the last calibration failed.
+        self.calibrated, self.last_failure = False, ''
+        # Why a saved answer was refused: unlike a failure, no motion mends that.
+        self.not_restored = ''
+        self._tried = NO_MOTION
+
+    def has_moved_on(self, motion: Motion) -> bool:
+        """Return whether the data differ much from those of the last calibration."""
+        return not motion.continues(self._tried) or (
+            motion.since(self._tried) > _MORE_MOTION * len(self._tried))
+
+    def time_offset_s(self, setting_s: float) -> float:
+        """Return the clock offset that was found since the last reset, or else the setting."""
+        return self.result.time_offset_s if self.calibrated and self.result else setting_s
+
+    def found_offset(self) -> str:
+        """Return the clock offset that a calibration since the last reset found, or ''."""
+        if not (self.calibrated and self.result) or (
+                self.result.config.mode('time_offset') == 'fixed'):
+            return ''
+        return f'{self.result.time_offset_s:.4f}'
 
 
 def _way_out(result: CalibrationResult) -> str:

@@ -14,7 +14,7 @@ from trajectory_calibration.online.advice import Advice, FEWEST_S
 from trajectory_calibration.online.answer import deviations, headline
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.motion import Motion, Pairing
-from trajectory_calibration.online.state import CalibrationState
+from trajectory_calibration.online.session import CalibrationState
 from trajectory_calibration.online.verification import Verdict
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.topics import TopicStatus

@@ -26,7 +26,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.overlay import Overlay
+from trajectory_calibration.online.session import Overlay
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.cdr import (
     ODOMETRY,

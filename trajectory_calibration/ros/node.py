@@ -23,9 +23,12 @@ from trajectory_calibration.online.answer import describe
 from trajectory_calibration.online.background import Background
 from trajectory_calibration.online.motion import count_pairs, measure, Motion
 from trajectory_calibration.online.options import find_frames, find_type, to_config, to_limits
-from trajectory_calibration.online.overlay import Overlay
-from trajectory_calibration.online.session import Calibration, CalibrationSession
-from trajectory_calibration.online.state import CalibrationState
+from trajectory_calibration.online.session import (
+    Calibration,
+    CalibrationSession,
+    CalibrationState,
+    Overlay,
+)
 from trajectory_calibration.online.store import Restored, ResultStore
 from trajectory_calibration.online.verification import Monitor
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
