@@ -19,7 +19,7 @@ from time import thread_time
 
 import numpy as np
 
-from benchmarks.paper.environment import describe_machine, describe_versions
+from benchmarks.paper.environment import describe_machine, describe_versions, in_order
 from benchmarks.paper.kitti import paper_pairs
 from benchmarks.paper.published import read_kitti, SEQUENCES, simulation_runs
 from benchmarks.paper.tasks import HARDEST, published_tasks, SETTINGS, simulated_tasks
@@ -166,10 +166,10 @@ def main():
         items = [(task, arguments.reference) for task in tasks
                  if (task.kind, task.level) == (kind, level)]
         title = kind if kind == 'mixture' else f'{kind} {level:g}'
-        show(f'{items[0][0].source} {title}', list(executor.map(measure_run, items)))
+        show(f'{items[0][0].source} {title}', list(in_order(executor, measure_run, items)))
     if arguments.data is not None:
         items = [(arguments.data, SEQUENCES[0], arguments.reference)]
-        show(SEQUENCES[0], list(executor.map(measure_drive, items)))
+        show(SEQUENCES[0], list(in_order(executor, measure_drive, items)))
 
 
 if __name__ == '__main__':

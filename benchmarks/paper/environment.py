@@ -1,17 +1,42 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a benchmark ran on."""
+"""What a benchmark runs on."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import distributions
 import os
 from pathlib import Path
 import platform
+from typing import TypeVar
 
+from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.version import __version__
 
 _LIBRARIES = ('numpy', 'casadi', 'joblib')
+_Item = TypeVar('_Item')
+_Result = TypeVar('_Result')
+
+
+def in_order(
+    executor: Executor, function: Callable[[_Item], _Result], items: Sequence[_Item],
+) -> Iterator[_Result]:
+    """Yield the results in the order of the items, each as soon as those before it are in."""
+    waiting: dict[int, _Result] = {}
+    following = 0
+    for number, result in executor.unordered(function, items):
+        waiting[number] = result
+        while following in waiting:
+            yield waiting.pop(following)
+            following += 1
+
+
+def describe_executor(executor: Executor) -> str:
+    """Return where tasks run, in words."""
+    if executor.scheduler is not None:
+        return f'Dask cluster at {executor.scheduler}'
+    return f'{executor.processes} processes by {executor.backend}'
 
 
 def describe_machine() -> str:

@@ -13,7 +13,12 @@ import time
 from benchmarks.paper import tables
 from benchmarks.paper.claims import judge
 from benchmarks.paper.comparison import compare_runs, compare_with_quartiles
-from benchmarks.paper.environment import describe_machine, describe_versions
+from benchmarks.paper.environment import (
+    describe_executor,
+    describe_machine,
+    describe_versions,
+    in_order,
+)
 from benchmarks.paper.kitti import kitti_tasks, KittiRecord, run_kitti_task
 from benchmarks.paper.published import (
     SEQUENCES,
@@ -176,7 +181,7 @@ def _compute(
     store = ResultStore(benchmark.output)
     missing = store.missing(tasks)
     cpu_s = 0.0
-    for done, result in enumerate(benchmark.executor.map(run_task, missing), 1):
+    for done, result in enumerate(in_order(benchmark.executor, run_task, missing), 1):
         store.append(result.records)
         cpu_s += result.cpu_s
         progress(len(tasks) - len(missing) + done, len(tasks))
@@ -187,7 +192,8 @@ def _compute(
 def _run_kitti(benchmark: PaperBenchmark) -> list[KittiRecord]:
     if benchmark.data is None:
         return []
-    found = benchmark.executor.map(run_kitti_task, kitti_tasks(benchmark.data, benchmark.solvers))
+    tasks = kitti_tasks(benchmark.data, benchmark.solvers)
+    found = in_order(benchmark.executor, run_kitti_task, tasks)
     return list(chain.from_iterable(found))
 
 
@@ -207,7 +213,7 @@ def _introduction(benchmark: PaperBenchmark, work: Work) -> str:
     return (
         '# The paper, repeated\n\n'
         f'    {benchmark.command}\n\n'
-        f'- {describe_machine()}; {benchmark.executor.describe()}\n'
+        f'- {describe_machine()}; {describe_executor(benchmark.executor)}\n'
         f'- {describe_versions()}\n'
         f'- {seeds}; solvers {", ".join(benchmark.solvers)}\n'
         f'- {work.computed} of {work.tasks} runs computed in this call: {work.wall_s:.0f} s by '

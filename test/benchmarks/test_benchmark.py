@@ -14,6 +14,7 @@ from benchmarks.paper import tasks
 from benchmarks.paper.__main__ import main
 from benchmarks.paper.claims import FAILS, HOLDS, judge, OPEN, PARTLY
 from benchmarks.paper.comparison import compare_runs, compare_with_quartiles
+from benchmarks.paper.environment import in_order
 from benchmarks.paper.kitti import kitti_tasks, KittiTask, PUBLISHED_C, run_kitti_task, STATED_C
 from benchmarks.paper.paper import PaperBenchmark, run_paper
 from benchmarks.paper.published import (
@@ -358,8 +359,8 @@ def double(item):
 
 
 def test_results_come_in_the_order_of_the_items():
-    assert list(Executor(jobs=2).map(double, range(40))) == list(range(0, 80, 2))
-    assert list(Executor(jobs=1).map(double, [])) == []
+    assert list(in_order(Executor(jobs=2), double, range(40))) == list(range(0, 80, 2))
+    assert list(in_order(Executor(jobs=1), double, [])) == []
 
 
 def test_dask_gives_what_joblib_gives():
@@ -370,7 +371,8 @@ def test_dask_gives_what_joblib_gives():
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
         executors = Executor('dask', scheduler=cluster.scheduler_address), Executor(jobs=1)
         found, expected = (
-            [[record.errors for record in result.records] for result in one.map(run_task, tasks)]
+            [[record.errors for record in result.records]
+             for result in in_order(one, run_task, tasks)]
             for one in executors)
     assert found == expected
 
@@ -382,7 +384,7 @@ def test_dask_gives_what_joblib_gives():
 def test_what_is_not_installed_is_named(monkeypatch, module, executor, extra):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ConfigError, match=rf'pip install .*\[{extra}\]'):
-        list(executor.map(double, [1]))
+        list(in_order(executor, double, [1]))
 
 
 # --- Averages and conclusions ---

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import starmap
 import os
 from typing import Any, TypeVar
 
@@ -46,46 +45,31 @@ class Executor:
             raise ConfigError('a scheduler is given, but the backend is not dask; add --backend '
                               'dask')
 
-    def describe(self) -> str:
-        """Return where tasks run, in words."""
-        if self.scheduler is not None:
-            return f'Dask cluster at {self.scheduler}'
-        return f'{self.processes} processes by {self.backend}'
-
     @property
     def processes(self) -> int:
         """Return the number of processes on this machine."""
         return self.jobs or os.cpu_count() or 1
 
-    def map(
-        self, function: Callable[[_Item], _Result], items: Iterable[_Item],
-    ) -> Iterator[_Result]:
-        """Yield the results in the order of the items, each as soon as those before it are in.
+    def unordered(
+        self, function: Callable[[_Item], _Result], items: Sequence[_Item],
+    ) -> Iterator[tuple[int, _Result]]:
+        """Yield the number of each item and its result, whichever is done first.
 
         ``function`` is one of a module, which processes import. Raises ConfigError where the
         backend is not installed, or its cluster cannot be reached.
         """
-        return self._run('generator', function, ((item,) for item in items))
-
-    def unordered(
-        self, function: Callable[[_Item], _Result], items: Sequence[_Item],
-    ) -> Iterator[tuple[int, _Result]]:
-        """Yield the number of each item and its result, whichever is done first; see ``map``."""
-        # A cluster or a pool of processes takes longer to start than there is to do.
-        return iter(()) if not items else self._run(
-            'generator_unordered', _numbered, ((function, *each) for each in enumerate(items)))
-
-    def _run(
-        self, kind: str, function: Callable[..., _Result], arguments: Iterable[tuple[Any, ...]],
-    ) -> Iterator[_Result]:
+        if not items:
+            # A cluster or a pool of processes takes longer to start than there is to do.
+            return
         joblib = _load('joblib')
         # One thread each: the linear algebra here is too small to share.
         settings = {'backend': 'dask'} if self.backend == 'dask' else {
             'backend': 'loky', 'n_jobs': self.processes, 'inner_max_num_threads': 1}
         with self._cluster():
             with joblib.parallel_config(**settings):
-                parallel = joblib.Parallel(return_as=kind)
-            yield from parallel(starmap(joblib.delayed(function), arguments))
+                parallel = joblib.Parallel(return_as='generator_unordered')
+            yield from parallel(
+                joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
 
     def _cluster(self) -> AbstractContextManager[Any]:
         if self.backend != 'dask':
