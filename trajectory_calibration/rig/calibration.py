@@ -40,8 +40,7 @@ from trajectory_calibration.rig.result import (
     SensorAnswer,
 )
 from trajectory_calibration.rig.settings import RigConfig
-from trajectory_calibration.rig.tree import build_tree, log_scale_std_of, offset_std_of
-from trajectory_calibration.rig.windows import Clock
+from trajectory_calibration.rig.tree import build_tree, clock_of, log_scale_std_of
 
 # The finding of each kind of contradiction.
 _CODES = {
@@ -154,8 +153,7 @@ def _of_two(
             other, base, result.T_a_b, covariance, config, trajectories,
             status=dict(result.observability.status), scale=result.scale,
             scale_std=result.scale * log_scale_std_of(result),
-            clock=Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
-                        offset_std_of(result)))}
+            clock=clock_of(result))}
     pair = PairReport(base, other, residual=np.zeros(6), std=np.sqrt(np.diagonal(covariance)),
                       poses=result.poses)
     return RigResult(

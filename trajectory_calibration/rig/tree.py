@@ -127,7 +127,8 @@ def build_tree(
     stated = np.stack([pair.covariance + np.diag(ROUNDING**2) for pair in pairs])
     answers = np.stack([result.T_a_b for result in results])
     epoch_ns = _epoch(trajectories, names, results)
-    clocks = _clocks(sensors, ends, results, _CLOCK_STD_S**2 * np.eye(len(pairs)), epoch_ns)
+    told = [clock_of(result) for result in results]
+    clocks = _clocks(sensors, ends, told, _CLOCK_STD_S**2 * np.eye(len(pairs)), epoch_ns)
     logs = np.log([result.scale for result in results])
     scales = np.exp(fuse_numbers(
         sensors, ends, logs, np.diag(np.where(logs == 0.0, _KNOWN_SCALE**2, 1.0)))[0])
@@ -157,9 +158,8 @@ def build_tree(
         M = joint_covariance(levels, noise, ends, free_scale)
         together = correlations(M[:, TWIST][:, :, :, TWIST])
         # The solvers state more or less than the windows have: clocks and scales follow them.
-        stds = np.array([offset_std_of(result) for result in results])
-        clocks = _clocks(
-            sensors, ends, results, _raised(M[:, CLOCK, :, CLOCK], stds), epoch_ns)
+        stds = np.array([clock.offset_std_s for clock in told])
+        clocks = _clocks(sensors, ends, told, _raised(M[:, CLOCK, :, CLOCK], stds), epoch_ns)
         # Where no scale was looked for, it is as known as the unit of the sensors.
         looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
         of_logs = _raised(M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds)
@@ -174,13 +174,15 @@ def build_tree(
         tuple(levels), noise, grid)
 
 
-def offset_std_of(result: CalibrationResult) -> float:
-    """Return the standard deviation of a result's clock offset, seconds; 0 where none is told."""
-    return float((result.diagnosis or {}).get('time_offset_deviation_s') or 0.0)
+def clock_of(result: CalibrationResult) -> Clock:
+    """Return the clock of b against a; its deviation is 0 where the result tells none."""
+    std = (result.diagnosis or {}).get('time_offset_deviation_s')
+    return Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
+                 float(std or 0.0))
 
 
 def log_scale_std_of(result: CalibrationResult) -> float:
-    """Return that of the logarithm of a result's scale; 0 where none is told."""
+    """Return the deviation of the logarithm of a result's scale; 0 where none is told."""
     diagnosis = result.diagnosis or {}
     return float(diagnosis.get('scale_deviation') or 0.0) / float(diagnosis.get('scale') or 1.0)
 
@@ -231,17 +233,14 @@ def _epoch(
 
 
 def _clocks(
-    sensors: int, ends: Sequence[tuple[int, int]], results: Sequence[CalibrationResult],
-    V: FloatArray, epoch_ns: int,
+    sensors: int, ends: Sequence[tuple[int, int]], told: Sequence[Clock], V: FloatArray,
+    epoch_ns: int,
 ) -> tuple[Clock, ...]:
     """Return the clock of each sensor against the base, consistent round every loop."""
-    drifts = np.array([result.clock_drift for result in results])
-    at_epoch = [result.time_offset_s + (
-        result.clock_drift * (epoch_ns - result.clock_drift_from_ns) * 1e-9
-        if result.clock_drift else 0.0) for result in results]
-    offsets, stds = fuse_numbers(sensors, ends, np.array(at_epoch), V)
-    stds = np.maximum(stds, _of_base(sensors, ends, np.array(
-        [offset_std_of(result) for result in results])))
+    drifts, at_epoch, own_stds = np.array([
+        (clock.drift, clock.at(epoch_ns), clock.offset_std_s) for clock in told]).T
+    offsets, stds = fuse_numbers(sensors, ends, at_epoch, V)
+    stds = np.maximum(stds, _of_base(sensors, ends, own_stds))
     return tuple(
         Clock(float(offset), float(drift), epoch_ns, float(std)) for offset, drift, std in zip(
             offsets, fuse_numbers(sensors, ends, drifts, V)[0], stds, strict=True))
