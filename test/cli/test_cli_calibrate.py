@@ -217,7 +217,7 @@ def test_a_report_that_fails_hides_no_reason(files, tmp_path, monkeypatch, capsy
     def full(*_):
         raise ResultError('disk full')
 
-    monkeypatch.setattr('trajectory_calibration.cli.report.write_text', full)
+    monkeypatch.setattr('trajectory_calibration.cli.writing.write_text', full)
     status, out, err = run(capsys, 'calibrate', *files[:2], *SOLVER, '--time-offset', '100',
                            '--report', tmp_path / 'x.html')
     assert (status, out) == (1, '')

@@ -99,8 +99,8 @@ def test_every_sensor_of_a_rig_has_a_node_against_the_base(rig):
         'calibrate_camera_1', 'rig', CONFIG, True)
     assert camera.parameters == {
         'topic_a': '/lidar/odom', 'topic_b': '/orb/pose', 'frame_a': 'velodyne',
-        'frame_b': 'cam1', 'scale_mode': 'estimate', 'result_directory': 'results',
-        'max_time_offset': 1.0, 'use_sim_time': True}
+        'frame_b': 'cam1', 'scale_mode': 'estimate', 'scale': 1.0,
+        'result_directory': 'results', 'max_time_offset': 1.0, 'use_sim_time': True}
     assert wheels.parameters['topic_b'] == 'tf:odom.base_link'
     assert wheels.parameters['prior_translation_std'] == '0.01'
 

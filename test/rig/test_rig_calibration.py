@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``calibrate_rig`` from trajectories to poses, findings and files."""
 
+from dataclasses import replace
 from itertools import combinations
 import re
 
@@ -318,6 +319,28 @@ def test_no_pair_is_calibrated_twice():
     answers, failures = calibrate_pairs(run.trajectories, 'a', RigConfig())
     seen = [frozenset((pair.parent, pair.child)) for pair in (*answers, *failures)]
     assert len(seen) == len(set(seen))
+
+
+@pytest.mark.parametrize('names', ['ab', 'abc'])
+def test_a_solver_that_states_no_covariance_makes_no_rig(names, monkeypatch):
+    def without(*given):
+        return replace(calibrate(*given), covariance=None)
+
+    run = simulate_rig(vehicle('abc', duration=5.0), 0)
+    for module in ('calibration', 'pairs'):
+        monkeypatch.setattr(f'trajectory_calibration.rig.{module}.calibrate', without)
+    with pytest.raises(CalibrationError, match='gave an answer: a - b: the solver states no cov'):
+        calibrate_rig({name: run.trajectories[name] for name in names},
+                      RigConfig(processes=1))
+
+
+def test_a_free_scale_needs_a_solver_that_finds_it():
+    free, park = {'b': SensorSettings(scale='free')}, CalibrationConfig(solver='park')
+    with pytest.raises(ConfigError, match='sensor b has scale free, which solver park cannot'):
+        RigConfig(sensors=free, calibration=park)
+    config = RigConfig(sensors=free, calibration=CalibrationConfig(scale=2.0))
+    assert config.scale_of('b') == {'scale_mode': 'estimate', 'scale': 1.0}
+    assert config.scale_of('a') == {}
 
 
 @pytest.mark.parametrize(('values', 'message'), [

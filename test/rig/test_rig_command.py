@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The subcommand ``rig``: RIG.yaml in; screen, files and page out."""
 
+from dataclasses import replace
 from html.parser import HTMLParser
 import json
 import re
@@ -17,12 +18,13 @@ from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.rig_exports import placements
+from trajectory_calibration.outputs.rig_exports import encode_rig, placements, RIG_FILES
 from trajectory_calibration.outputs.rig_report import render_rig
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.rig import RigResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.description import RigDescription
+from trajectory_calibration.rig.windows import common_grid
 from trajectory_calibration.simulation.files import write_bag, write_tum
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, Unicycle
@@ -173,9 +175,10 @@ def test_a_sensor_of_another_drive_is_open(folder, tmp_path, capsys):
     assert re.search(r'^  rear +no answer$', capsys.readouterr().out, re.MULTILINE)
 
 
-def test_a_sensor_that_was_not_compared_is_open(folder, capsys):
+def test_a_sensor_that_was_not_compared_is_open(folder, rig, capsys):
     (folder / 'two.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
-    assert main(['verify', str(folder / 'out' / 'rig.yaml'), str(folder / 'two.yaml')]) == 3
+    replace(rig, recordings=()).save(folder / 'other_drive.yaml')
+    assert main(['verify', str(folder / 'other_drive.yaml'), str(folder / 'two.yaml')]) == 3
     assert 'not compared: rear' in capsys.readouterr().out
 
 
@@ -198,6 +201,87 @@ def test_saved_results_make_a_rig(tmp_path, capsys):
     assert 'Rig of 3 sensors in lidar' in text
     # Two pairs with one base share its noise, and close no loop.
     assert 'loops' not in text
+
+
+def test_of_two_results_the_later_recording_counts_whatever_its_name(tmp_path, capsys):
+    run = drive()
+    lidar, front = (run.trajectories[name] for name in ('lidar', 'front'))
+    whole = calibrate(lidar, front)
+    half = calibrate(lidar, replace(
+        front, stamps_ns=front.stamps_ns[:150], poses=front.poses[:150]))
+    half.save(tmp_path / 'node_000010.yaml')
+    whole.save(tmp_path / 'node_000009.yaml')
+    (tmp_path / 'node_000010').mkdir()
+    (tmp_path / 'node_000010' / 'extrinsic.yaml').write_text('parent: lidar\n')
+    (tmp_path / 'rig.yaml').write_text('rig_format_version: 1\n')
+    (tmp_path / 'notes.yaml').write_text('no: result\n')
+    assert main(['rig', '--from-results', str(tmp_path), '--format', 'json']) == 0
+    data = json.loads(capsys.readouterr().out)
+    np.testing.assert_allclose(
+        data['sensors']['front']['T_base_sensor']['translation'], whole.T_a_b[:3, 3])
+    told = {found['code']: found['text'] for found in data['findings']}
+    assert told['rig-result-repeated'] == (
+        '2 results of lidar - front: the latest was used, node_000009.yaml')
+    assert told['rig-result-unread'].startswith('not read: notes.yaml (not a calibration result:')
+    # Of recordings that end together the one that was saved last, as people count.
+    replace(half, start_ns=None, scale=2.0).save(tmp_path / 'node_000010.yaml')
+    replace(whole, start_ns=None).save(tmp_path / 'node_000009.yaml')
+    assert main(['rig', '--from-results', str(tmp_path), '--format', 'json']) == 0
+    assert 'used, node_000010.yaml' in capsys.readouterr().out
+
+
+def test_loops_that_do_not_close_are_not_said_to(rig):
+    bad = replace(rig, p_value=1e-5, chi_squared=40.0)
+    for text in (format_rig(bad), render_rig(bad)):
+        assert 'oops disagree: chi-squared 40.0 of 6 degrees of freedom (p = 1e-05)' in text
+        assert 'close with' not in text
+
+
+def test_the_tracks_of_the_page_span_the_gaps_that_the_settings_allow(rig, monkeypatch):
+    gaps = []
+
+    def grid(tracks, max_gap_ns):
+        gaps.append(max_gap_ns)
+        return common_grid(tracks, max_gap_ns)
+
+    monkeypatch.setattr('trajectory_calibration.outputs.rig_report.common_grid', grid)
+    render_rig(replace(rig, config=replace(rig.config, calibration=replace(
+        rig.config.calibration, max_gap=2.5))), drive().trajectories)
+    assert gaps == [2_500_000_000]
+
+
+def test_a_saved_rig_is_exported_as_a_whole(folder, capsys, tmp_path):
+    saved = str(folder / 'out' / 'rig.yaml')
+    rig = RigResult.load(saved)
+    for name in RIG_FILES:
+        assert main(['export', saved, '--as', name]) == 0
+        assert capsys.readouterr().out == encode_rig(rig, name).decode()
+    assert main(['export', saved, '--as', 'matrix']) == 2
+    assert 'matrix holds one transform' in capsys.readouterr().err
+    assert main(['export', saved, '--as', 'urdf', '--parent', 'base_link']) == 2
+    assert '--parent is for one transform' in capsys.readouterr().err
+    data = rig.to_dict()
+    data['sensors']['rear']['status']['z'] = 'unobserved'
+    RigResult.from_dict(data).save(tmp_path / 'open.yaml')
+    export = ['export', str(tmp_path / 'open.yaml'), '--as', 'urdf']
+    assert main(export) == 1
+    out, err = capsys.readouterr()
+    assert (out, err[:48]) == ('', 'error: not exported: z of rear in velodyne unobs')
+    assert main([*export, '--allow-unobserved']) == 3
+    assert 'UNOBSERVED: z of rear' in capsys.readouterr().out
+
+
+def test_a_saved_rig_has_a_page(folder, tmp_path, capsys):
+    report = ['report', str(folder / 'out' / 'rig.yaml'), str(folder / 'RIG.yaml'),
+              '--output', str(tmp_path / 'x.html')]
+    assert main(report) == 0
+    assert capsys.readouterr().out == f'wrote {tmp_path}/x.html\n'
+    text = (tmp_path / 'x.html').read_text()
+    assert 'front from lidar' in text
+    assert 'lidar.tum' in text
+    assert main(report) == 2
+    assert main([*report, '--force', '--plots', str(tmp_path)]) == 2
+    assert '--plots is for one pair' in capsys.readouterr().err
 
 
 def test_open_heights_end_with_status_three(tmp_path, capsys):

@@ -4,6 +4,7 @@
 
 import csv
 import json
+from pathlib import Path
 import re
 
 import numpy as np
@@ -100,11 +101,17 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert main(['rig', str(tmp_path / 'RIG.yaml'), '--output', str(tmp_path)]) == 0
     saved = tmp_path / 'rig.yaml'
     verify = ['verify', str(saved), str(tmp_path / 'RIG.yaml')]
-    assert main(verify) == 0
-    assert 'the rig holds' in capsys.readouterr().out
-    assert main(['compare', str(saved), str(saved)]) == 0
-    assert 'holds' in capsys.readouterr().out
+    assert main(verify) == 3
+    assert 'cannot tell: both rigs are of one recording' in capsys.readouterr().out
+    same = tmp_path / 'same'
+    assert main(['compare', *3 * [str(saved)], '--output', str(same)]) == 3
+    printed = capsys.readouterr().out
+    assert printed.count('cannot tell: both rigs are of one recording') == 2
+    assert 'holds' not in printed
     data = RigResult.load(saved).to_dict()
+    assert len(data['recordings']) == 3
+    # As if it were of a drive of its own.
+    data['recordings'] = []
     data['sensors']['b']['T_base_sensor']['translation'][0] += 0.1
     earlier = tmp_path / 'earlier.yaml'
     RigResult.from_dict(data).save(earlier)
@@ -113,15 +120,41 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert 'b moved by 10 cm' in printed
     verdicts = {line.split()[0]: line.split()[-1] for line in printed.splitlines()[3:]}
     assert verdicts == {'b': 'moved', 'c': 'holds'}
-    assert main([*verify, '--format', 'json']) == 0
-    assert json.loads(capsys.readouterr().out)['holds']
+    assert main([*verify, '--format', 'json']) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert (told['holds'], told['same_recording']) == (None, True)
     table = tmp_path / 'table'
     compare = ['compare', str(earlier), str(saved), '--format', 'csv', '--output', str(table)]
     assert main(compare) == 4
     row = next(csv.DictReader((table / 'table.csv').open()))
     assert row['sensor'] == 'b'
     assert float(row['dx_m']) == pytest.approx(-0.1, abs=1e-9)
-    assert json.loads((table / 'table.json').read_text())['moved'] == ['b']
+    found, = json.loads((table / 'table.json').read_text())
+    assert (found['moved'], found['holds'], found['same_recording']) == (['b'], False, False)
+
+
+def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
+        mounts, tmp_path, monkeypatch, capsys):
+    X, rng = mounts
+    monkeypatch.chdir(tmp_path)
+    paths = [f'{name}/rig.yaml' for name in ('one', 'two', 'three')]
+    for path in paths:
+        Path(path).parent.mkdir()
+        rig(X, rng).save(path)
+    assert main(['compare', *paths, '--output', 'cmp', '--format', 'json']) == 0
+    out, err = capsys.readouterr()
+    assert [(item['rig'], item['against'], item['holds']) for item in json.loads(out)] == [
+        ('two', 'one', True), ('three', 'one', True)]
+    assert err == 'wrote cmp/table.csv, table.json\n'
+    assert sorted(path.name for path in Path('cmp').iterdir()) == ['table.csv', 'table.json']
+    assert json.loads(Path('cmp/table.json').read_text()) == json.loads(out)
+    with Path('cmp/table.csv').open(encoding='utf-8') as stream:
+        rows = [(row['rig'], row['sensor']) for row in csv.DictReader(stream)]
+    assert rows == [(name, sensor) for name in ('two', 'three') for sensor in 'bcd']
+    assert main(['compare', *paths, '--output', 'cmp']) == 2
+    assert 'table.csv and 1 more exist; give --force' in capsys.readouterr().err
+    assert main(['compare', *paths, '--output', 'cmp', '--force']) == 0
+    assert capsys.readouterr().out.count(' against one: the rig holds') == 2
 
 
 @pytest.mark.parametrize('option', [

@@ -4,6 +4,7 @@
 
 import argparse
 from dataclasses import fields
+import json
 import re
 import shlex
 import sqlite3
@@ -37,9 +38,18 @@ def test_tum_files_hold_the_pair(tmp_path, capsys):
         assert not read.warnings
     truth = read_extrinsic(tmp_path / 'truth.tum').T_a_b
     np.testing.assert_allclose(truth, pair.T_a_b, atol=1e-13)
-    # The command that it proposes works.
+    # The command that it proposes works, without options that change nothing.
     hint = re.search(r'try: trajectory_calibration (.*)', capsys.readouterr().out)[1]
     assert main([*shlex.split(hint), '--solver', 'park']) == 0
+
+
+def test_the_proposed_command_starts_at_the_offset_and_looks_for_the_drift(tmp_path, capsys):
+    options = '--scenario', 'noise', '--duration', '120', '--clock-offset-a', '2.5'
+    assert simulate_to(tmp_path, *options, '--clock-drift-a', '8e-4') == 0
+    hint = shlex.split(re.search(r'try: trajectory_calibration (.*)', capsys.readouterr().out)[1])
+    assert hint[-2:] == ['--time-offset', '2.5']
+    assert main([*hint, '--solver', 'park', '--format', 'json']) == 0
+    assert json.loads(capsys.readouterr().out)['clock_drift'] == pytest.approx(8e-4, abs=2e-4)
 
 
 def test_an_earlier_drive_is_overwritten_only_by_force(tmp_path, capsys):
@@ -176,8 +186,7 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
     (tmp_path / 'taken' / 'a.tum').mkdir(parents=True)
     assert simulate_to(tmp_path / 'taken') == 1
     assert capsys.readouterr().err == (
-        f'error: {tmp_path}/taken/a.tum cannot be written: it is a folder; give '
-            'another name\n')
+        f'error: {tmp_path}/taken/a.tum cannot be written: it is a folder; give another name\n')
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 0
     assert simulate_to(tmp_path / 'twice', '--format', 'mcap') == 1
     err = capsys.readouterr().err

@@ -12,7 +12,7 @@ from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import running_clock
-from trajectory_calibration.cli.report import (
+from trajectory_calibration.cli.writing import (
     add_truth_argument,
     plot_paths,
     print_as,

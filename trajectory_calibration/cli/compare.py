@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
@@ -28,7 +28,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] RESULT RESULT [RESULT ...]',
         description='Put results of the same sensors in the order of their dates, and find where '
         'the extrinsic changed. Exit status: 0 they agree, 4 they do not. Rigs (rig.yaml) are '
-        'compared with the first one, sensor by sensor; 3: a sensor could not be compared.')
+        'compared with the first one, sensor by sensor, without a page; 3: a sensor could not be '
+        'compared, or both rigs are of one recording.')
     parser.add_argument(
         'results', metavar='RESULT', nargs='+', type=Path,
         help='result.yaml or rig.yaml, two or more')
@@ -50,8 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Compare and print the table."""
     if len(arguments.results) < 2:
         raise ConfigError('compare needs two or more results; one was given')
-    if arguments.output is not None:
-        require_new([arguments.output / name for name in FILES], force=arguments.force)
     rigs = [is_rig(path) for path in arguments.results]
     if all(rigs):
         from trajectory_calibration.cli.rig import compare_saved
@@ -59,6 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     if any(rigs):
         raise ConfigError(f'{arguments.results[rigs.index(True)]} is a rig, and others are not; '
                           'compare rigs with rigs')
+    if arguments.output is not None:
+        require_new([arguments.output / name for name in FILES], force=arguments.force)
     names = short_names([str(path) for path in arguments.results])
     return report(
         compare([Entry(name, CalibrationResult.load(path))

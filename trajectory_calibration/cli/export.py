@@ -10,14 +10,16 @@ import sys
 from textwrap import fill
 
 from trajectory_calibration.cli import exit_status
-from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
 from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.outputs.rig_exports import encode_rig, placements, RIG_FILES
 from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.rig.result import is_rig, RigResult
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -32,9 +34,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description='Write the extrinsic of a saved result for another tool. The parent is '
         'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
         epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
-        'URDF),\nx,y,z,qx,qy,qz,qw, or a file.\n\nExit status: 0 done; 3 a direction is unknown: '
-        'written with --allow-unobserved\nonly; 1 not written.')
-    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml')
+        'URDF),\nx,y,z,qx,qy,qz,qw, or a file.\n\nA rig is written as a whole, as '
+        f'{", ".join(RIG_FILES)}.\n\nExit status: 0 done; 3 written, but a direction is unknown '
+        '(--allow-unobserved);\n1 not written.')
+    parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
     parser.add_argument(
         '--as', dest='format', required=True, choices=tuple(EXPORTS), metavar='FORMAT',
         help=', '.join(EXPORTS))
@@ -63,23 +66,56 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the export."""
+    if is_rig(arguments.result):
+        return _run_rig(arguments)
     exporter = EXPORTS[arguments.format]
     item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
     if item.kept_back and not arguments.allow_unobserved:
         print(f'error: not exported: {item.kept_back} unobservable. Calibrate with a ramp or a '
               'prior; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
-        return exit_status.OPEN
-    if arguments.output is None:
-        print(exporter.write(item), end='')
-    else:
-        require_new([arguments.output], force=arguments.force)
-        write_text(arguments.output, exporter.encode(item))
-        print(f'wrote {arguments.output}: {exporter.sentence}', file=sys.stderr)
+        return exit_status.NO_ANSWER
+    _write(exporter.encode(item) if arguments.output else exporter.write(item), arguments)
     if item.unobserved:
         print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
               'along it', file=sys.stderr)
         return exit_status.OPEN
     return exit_status.DONE
+
+
+def _write(content: str | bytes, arguments: argparse.Namespace) -> None:
+    """Write to the file that was asked for, else a text to standard output."""
+    if arguments.output is None:
+        print(content, end='')
+        return
+    require_new([arguments.output], force=arguments.force)
+    write_text(arguments.output, content)
+    print(f'wrote {arguments.output}: {EXPORTS[arguments.format].sentence}', file=sys.stderr)
+
+
+def _run_rig(arguments: argparse.Namespace) -> int:
+    """Write all sensors of a saved rig as one file."""
+    rig = RigResult.load(arguments.result)
+    if arguments.format not in RIG_FILES:
+        raise ConfigError(
+            f'{arguments.format} holds one transform, and {arguments.result} is a rig; needed '
+            f'--as {", ".join(RIG_FILES)}. rig --output writes every format of each sensor')
+    for name in ('invert', 'parent', 'child', 'parent_transform', 'child_transform', 'urdf'):
+        if getattr(arguments, name):
+            option = 'parent-urdf' if name == 'urdf' else name.replace('_', '-')
+            raise ConfigError(f'--{option} is for one transform, and {arguments.result} is a rig; '
+                              'rig --base chooses the frame of all')
+    open_ = [item for item in placements(rig) if item.unobserved]
+    kept_back = '; '.join(item.kept_back for item in open_ if item.kept_back)
+    if kept_back and not arguments.allow_unobserved:
+        print(f'error: not exported: {kept_back} unobservable. Give these sensors a prior in '
+              'RIG.yaml; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
+        return exit_status.NO_ANSWER
+    _write(encode_rig(rig, arguments.format, allow_unobserved=True).decode(), arguments)
+    if open_:
+        unobserved = ', '.join(name for item in open_ for name in item.unobserved)
+        print(f'warning: unobserved: {unobserved}; the numbers are arbitrary along it',
+              file=sys.stderr)
+    return exit_status.OPEN if open_ or rig.unplaced else exit_status.DONE
 
 
 def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:

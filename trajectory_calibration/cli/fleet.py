@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from trajectory_calibration.cli.compare import add_output_options, FILES, report
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import progress_bar
-from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.cli.writing import require_new
 
 if TYPE_CHECKING:
     from trajectory_calibration.fleet.executor import Executor

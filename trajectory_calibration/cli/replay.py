@@ -11,7 +11,7 @@ from typing import Any
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.progress import progress_bar
-from trajectory_calibration.cli.report import print_as
+from trajectory_calibration.cli.writing import print_as
 from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml
 from trajectory_calibration.errors import ConfigError, TopicError
 

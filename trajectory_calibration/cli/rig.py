@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``rig``: all sensors of a vehicle in one consistent answer; ``verify``, ``compare`` of such."""
+"""``rig``: all sensors of a vehicle in one answer; ``verify``, ``compare``, ``report`` of such."""
 
 from __future__ import annotations
 
@@ -16,13 +16,20 @@ from typing import Any, TYPE_CHECKING
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.cli.report import print_as, record_of, require_new
+from trajectory_calibration.cli.writing import print_as, record_of, require_new
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, write_text
+from trajectory_calibration.data.findings import worst_first
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.outputs.comparison_table import rig_to_csv, rig_to_data, rig_to_text
-from trajectory_calibration.outputs.exports import remove_others, write_files
+from trajectory_calibration.fleet.comparison import short_names
+from trajectory_calibration.outputs.comparison_table import (
+    rig_to_data,
+    rig_to_text,
+    rigs_to_csv,
+    rigs_to_data,
+)
+from trajectory_calibration.outputs.exports import EXPORT_FILES, remove_others, write_files
 from trajectory_calibration.outputs.rig_exports import (
     placements,
     rig_export_files,
@@ -32,16 +39,19 @@ from trajectory_calibration.outputs.rig_exports import (
 )
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.calibration import calibrate_rig, fuse_results
 from trajectory_calibration.rig.comparison import compare_rigs, RigComparison
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.rig.result import RigResult
+from trajectory_calibration.rig.saved import read_results
 from trajectory_calibration.rig.settings import PAIRS, RigConfig, SensorSettings
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 
 if TYPE_CHECKING:
     from trajectory_calibration.outputs.report import Record
+
+# What --output of compare is filled with for rigs.
+RIG_TABLES = ('table.csv', 'table.json')
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -98,10 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         description = RigDescription.load(arguments.rig)
         config = _configured(description.config, arguments)
-        bags, trajectories = _read(description, arguments)
-        sources = [('bag', bag) for bag in bags] + [
-            (name, Path(source)) for name, (source, _) in description.inputs.items()
-            if Path(source).is_file()]
+        sources, trajectories = _read(description, arguments)
         with running_clock('calibrating'):
             rig = calibrate_rig(trajectories, config)
     # No file that cannot be written takes the answer away, and no reader that has gone the files.
@@ -118,6 +125,10 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.output, arguments.report):
         if path is not None:
             print(f'wrote {path}', file=stream)
+    return _status_of(rig)
+
+
+def _status_of(rig: RigResult) -> int:
     return exit_status.OPEN if rig.unobserved or rig.unplaced else exit_status.DONE
 
 
@@ -159,11 +170,14 @@ def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
 
 def _read(
     description: RigDescription, arguments: argparse.Namespace,
-) -> tuple[list[Path], dict[str, Trajectory]]:
-    """Return the bags, and the trajectory of each sensor."""
+) -> tuple[list[tuple[str, Path]], dict[str, Trajectory]]:
+    """Return the bags and files, each with its role, and the trajectory of each sensor."""
     bags = [*description.bags, *map(Path, arguments.bag)]
     with progress_bar('reading') as progress:
-        return bags, load_inputs(description.inputs, bags, progress if bags else None)
+        trajectories = load_inputs(description.inputs, bags, progress if bags else None)
+    return [('bag', bag) for bag in bags] + [
+        (name, Path(source)) for name, (source, _) in description.inputs.items()
+        if Path(source).is_file()], trajectories
 
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:
@@ -182,23 +196,13 @@ def _from_results(arguments: argparse.Namespace) -> RigResult:
     config = (RigConfig() if arguments.rig is None
               else _by_frames(RigDescription.load(arguments.rig).config))
     folder: Path = arguments.from_results
-    paths = sorted(folder.rglob('*.yaml'))
-    if not paths:
-        raise ConfigError(
-            f'{folder} holds no .yaml; needed results that calibrate or a node saved')
-    results: dict[frozenset[str], CalibrationResult] = {}
-    failures = []
-    for path in paths:
-        try:
-            result = CalibrationResult.load(path)
-        except ResultError as error:
-            failures.append(f'{path.name}: {error}')
-            continue
-        # Files are named by their time: of one pair the last one counts.
-        results[frozenset((result.frame_a, result.frame_b))] = result
-    if not results:
-        raise ConfigError(f'{folder} holds no results: {failures[0]}')
-    return fuse_results(list(results.values()), _configured(config, arguments))
+    # A saved rig, or the exports of a result, may stand beside the results.
+    others = {*EXPORT_FILES, *RIG_FILES.values(), RIG_FILE}
+    paths = [path for path in folder.rglob('*.yaml')
+             if path.name not in others and path != arguments.rig]
+    results, findings = read_results(paths, folder)
+    rig = fuse_results(results, _configured(config, arguments))
+    return replace(rig, findings=worst_first((*rig.findings, *findings)))
 
 
 def _by_frames(config: RigConfig) -> RigConfig:
@@ -209,10 +213,10 @@ def _by_frames(config: RigConfig) -> RigConfig:
         sensors={frames[name]: sensor for name, sensor in config.sensors.items()})
 
 
-def verify_rig(
-    saved: RigResult, settings: CalibrationConfig, arguments: argparse.Namespace,
-) -> int:
-    """Calibrate the sensors of RIG.yaml without priors, and compare with a saved rig."""
+def _described(
+    arguments: argparse.Namespace,
+) -> tuple[list[tuple[str, Path]], dict[str, Trajectory]]:
+    """Return what ``_read`` does of RIG.yaml, which stands in the place of A and B."""
     if arguments.b is not None:
         raise ConfigError(f'{arguments.result} is a rig: give one RIG.yaml in place of A and B')
     for name in (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b')):
@@ -220,34 +224,55 @@ def verify_rig(
             option = name.removeprefix('file_').replace('_', '-')
             raise ConfigError(f'--{option} is for A and B; write how a sensor is read below it in '
                               f'{arguments.a}')
-    _, trajectories = _read(RigDescription.load(Path(arguments.a)), arguments)
+    return _read(RigDescription.load(Path(arguments.a)), arguments)
+
+
+def report_rig(arguments: argparse.Namespace) -> int:
+    """Write the page of a saved rig with the tracks of RIG.yaml."""
+    for name in ('ground_truth', 'plots'):
+        if getattr(arguments, name):
+            raise ConfigError(f'--{name.replace("_", "-")} is for one pair, and '
+                              f'{arguments.result} is a rig; leave it out')
+    rig = RigResult.load(arguments.result)
+    page: Path = arguments.output or arguments.result.with_suffix('.html')
+    require_new([page], force=arguments.force)
+    sources, trajectories = _described(arguments)
+    write_rig_page(rig, trajectories, record_of(arguments, sources), page)
+    print(f'wrote {page}')
+    return _status_of(rig)
+
+
+def verify_rig(
+    saved: RigResult, settings: CalibrationConfig, arguments: argparse.Namespace,
+) -> int:
+    """Calibrate the sensors of RIG.yaml without priors, and compare with a saved rig."""
+    _, trajectories = _described(arguments)
     config = replace(
         saved.config, base=saved.base, calibration=settings, sensors={
             name: SensorSettings(scale=saved.config.of(name).scale) for name in trajectories})
     with running_clock('verifying'):
         found = compare_rigs(saved, calibrate_rig(trajectories, config))
-    _print_comparison(found, arguments.format)
+    print_as(arguments.format, rig_to_data(found), rig_to_text(found))
     return _status([found])
 
 
 def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     """Compare saved rigs with the first of them."""
+    if arguments.output is not None:
+        require_new([arguments.output / name for name in RIG_TABLES], force=arguments.force)
+    against, *names = short_names(list(map(str, paths)))
     first, *others = map(RigResult.load, paths)
-    found = [compare_rigs(first, other) for other in others]
-    for path, one in zip(paths[1:], found, strict=True):
-        if arguments.format == 'text':
-            print(f'{path} against {paths[0]}')
-        _print_comparison(one, arguments.format)
-        if arguments.output is not None:
-            folder: Path = arguments.output / path.stem if len(others) > 1 else arguments.output
-            write_text(folder / 'table.csv', rig_to_csv(one))
-            write_text(folder / 'table.json', json.dumps(rig_to_data(one)) + '\n')
-    return _status(found)
-
-
-def _print_comparison(found: RigComparison, form: str) -> None:
-    print_as(form, rig_to_data(found),
-             rig_to_csv(found) if form == 'csv' else rig_to_text(found))
+    found = [(name, compare_rigs(first, other))
+             for name, other in zip(names, others, strict=True)]
+    table, data = rigs_to_csv(found), json.dumps(rigs_to_data(found, against)) + '\n'
+    text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}'
+                     for name, one in found)
+    print({'text': text, 'csv': table, 'json': data}[arguments.format], end='')
+    if arguments.output is not None:
+        for name, content in zip(RIG_TABLES, (table, data), strict=True):
+            write_text(arguments.output / name, content)
+        print(f'wrote {arguments.output}/{", ".join(RIG_TABLES)}', file=sys.stderr)
+    return _status([one for _, one in found])
 
 
 def _status(found: Sequence[RigComparison]) -> int:

@@ -11,7 +11,7 @@ import shlex
 from typing import Any
 
 from trajectory_calibration.cli.progress import running_clock
-from trajectory_calibration.cli.report import require_new
+from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import make_folder
 from trajectory_calibration.errors import ConfigError, counted, SourceError
 from trajectory_calibration.simulation import Noise, Scenario, SCENARIOS, simulate, SimulatedPair
@@ -160,8 +160,5 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     write_transform(truth, pair.T_a_b)
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
     clocks = ['--time-offset', f'{offset:.12g}'] if offset else []
-    if offset and (arguments.clock_drift_a or arguments.clock_drift_b):
-        # An offset that is given is fixed otherwise, and the drift with it.
-        clocks += ['--time-offset-mode', 'estimate']
     return shlex.join(map(str, [
         'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', truth, *clocks]))

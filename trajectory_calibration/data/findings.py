@@ -53,6 +53,8 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'rig-mount-moved': ('serious', 'a sensor moved on its mount during the drive'),
     'rig-no-common-time': ('serious', 'a sensor shares no time with the others'),
     'rig-other-motion': ('serious', 'a sensor does not move as the others do'),
+    'rig-result-repeated': ('note', 'several saved results of one pair: the latest was used'),
+    'rig-result-unread': ('warning', 'a file beside saved results could not be read as one'),
     'rig-shared-noise': ('note', 'made from saved results: the correlation of pairs is assumed'),
     'scale': ('note', 'the two trajectories differ in scale; corrected'),
     'scale-unit': ('note', 'b is in another unit of length; its scale was found'),

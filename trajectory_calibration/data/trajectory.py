@@ -209,10 +209,19 @@ class Trajectory:
         return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
 
 
+# Of the stamps and poses of one trajectory.
+_DIGITS = 16
+
+
 def recording_of(*trajectories: Trajectory) -> str:
     """Return digits that are equal where all stamps and poses are, whatever their names."""
     return ''.join(f'{crc32(np.ascontiguousarray(values).data):08x}' for trajectory in trajectories
                    for values in (trajectory.stamps_ns, trajectory.poses))
+
+
+def recordings_in(recording: str) -> tuple[str, ...]:
+    """Return the ``recording_of`` each of the trajectories of which it is."""
+    return tuple(recording[k:k + _DIGITS] for k in range(0, len(recording), _DIGITS))
 
 
 def pose_faults(

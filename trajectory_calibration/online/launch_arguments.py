@@ -127,8 +127,7 @@ def _of_sensors(description: RigDescription) -> dict[str, dict[str, Any]]:
             raise ConfigError(f'sensor {name} has a file, needed a topic or tf for a node')
         settings = description.config.of(name)
         found[name] = {
-            **shared, **settings.given,
-            **({'scale_mode': 'estimate'} if settings.scale == 'free' else {}),
+            **shared, **settings.given, **description.config.scale_of(name),
             'topic_a': description.inputs[base][0], 'topic_b': source,
             'frame_a': description.config.of(base).frame or base,
             'frame_b': settings.frame or name}

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import csv
 import io
 import json
@@ -89,15 +89,23 @@ def rig_to_text(found: RigComparison) -> str:
     return '\n'.join(lines) + '\n'
 
 
-def rig_to_csv(found: RigComparison) -> str:
-    """Return one row for each sensor, the units in the names of the columns."""
-    return csv_text(_rows(found))
+def rigs_to_csv(found: Iterable[tuple[str, RigComparison]]) -> str:
+    """Return one row for each sensor of named rigs, the units in the names of the columns."""
+    return csv_text([{'rig': name, **row} for name, one in found for row in _rows(one)])
+
+
+def rigs_to_data(
+    found: Iterable[tuple[str, RigComparison]], against: str,
+) -> list[dict[str, Any]]:
+    """Return plain data of named rigs that were compared with one, ready for JSON."""
+    return [{'rig': name, 'against': against, **rig_to_data(one)} for name, one in found]
 
 
 def rig_to_data(found: RigComparison) -> dict[str, Any]:
     """Return plain data, ready for JSON."""
     return {
-        'holds': found.holds, 'base': found.base, 'sensors': _rows(found),
+        'holds': None if found.same_recording else found.holds,
+        'same_recording': found.same_recording, 'base': found.base, 'sensors': _rows(found),
         'moved': [item.sensor for item in found.changes], 'not_compared': list(found.missing),
         'chi_squared': found.chi_squared, 'degrees_of_freedom': found.degrees,
         'p_value': found.p_value}
@@ -123,5 +131,5 @@ def _verdict(found: RigComparison, item: Change) -> str:
     moved = {change.sensor for change in found.changes}
     if item.sensor in moved:
         return 'moved'
-    return ('cannot tell' if not item.degrees else
+    return ('cannot tell' if found.same_recording or not item.degrees else
             'as the base moved' if found.base in moved else 'holds')

@@ -20,6 +20,7 @@ from trajectory_calibration.outputs.report.page import (
     next_step,
     page,
     section,
+    sentence,
     table,
     verdict_section,
 )
@@ -27,7 +28,12 @@ from trajectory_calibration.outputs.report.record import Record, record_cards
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
-from trajectory_calibration.outputs.rig_screen import clock_text, scale_text, sensor_rows
+from trajectory_calibration.outputs.rig_screen import (
+    clock_text,
+    loops_text,
+    scale_text,
+    sensor_rows,
+)
 from trajectory_calibration.rig.result import PairReport, RigResult
 from trajectory_calibration.rig.windows import common_grid, Grid, track_of
 
@@ -38,8 +44,6 @@ _POINTS = 500
 
 # Probabilities of a chi-squared from which on a pair is marked.
 _DOUBTFUL, _WRONG = 0.05, 1e-3
-
-_MAX_GAP_NS = 500_000_000
 
 _NAVIGATION = ('The rig', 'Pairs', 'Noise', 'Tracks', 'Record')
 
@@ -85,9 +89,6 @@ def _box(rig: RigResult) -> str:
             item.kind != 'clock' for item in rig.contradictions) else
         ('open', 'Part of it is unknown') if rig.unobserved else
         ('care', 'Usable with care') if weak or rig.p_value < _WRONG else ('good', 'Usable'))
-    loops = (f'The loops close with chi-squared {rig.chi_squared:.1f} of {rig.degrees} degrees '
-             f'of freedom (p = {rig.p_value:.2g}).' if rig.degrees else
-             'No loop checks the answer.')
     rows = []
     for sensor in rig.sensors.values():
         if sensor.name != sensor.base:
@@ -102,7 +103,8 @@ def _box(rig: RigResult) -> str:
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
     return verdict_section(
         style, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
-        f'<p class="sentence">{escape(loops)}</p>{table(head, rows)}{next_step(worst)}')
+        f'<p class="sentence">{escape(sentence(loops_text(rig)))}</p>{table(head, rows)}'
+        f'{next_step(worst)}')
 
 
 def _tree(rig: RigResult) -> str:
@@ -214,7 +216,8 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:
         return '<p>The tracks were not given.</p>'
     grid = common_grid([
         track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
-                 rig.sensors[name].T_base_sensor) for name in names], _MAX_GAP_NS)
+                 rig.sensors[name].T_base_sensor) for name in names],
+        round(1e9 * rig.config.calibration.max_gap))
     laid = _laid(grid)
     return _from_above(rig, names, laid) + _apart(names, laid, grid)
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from trajectory_calibration.errors import counted
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import error_words, NAMES, pose_rows, Row
 from trajectory_calibration.outputs.screen import finding_lines
@@ -49,8 +50,7 @@ def format_rig(
             rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
             for name in rig.free if name in truth)]
     if rig.degrees:
-        lines.append(f'\nloops close with chi-squared {rig.chi_squared:.1f} of {rig.degrees} '
-                     f'degrees of freedom (p = {rig.p_value:.2g})')
+        lines += ['', loops_text(rig)]
     lines += finding_lines(rig.findings, terminal, None if verbose else _MOST_FINDINGS)
     if verbose:
         lines += ['', '  pairs: chi-squared and degrees of freedom against the rig']
@@ -58,6 +58,15 @@ def format_rig(
             unused = '' if pair.used or pair.failure else ' (not used)'
             lines.append(f'    {pair.parent} - {pair.child}: {pair.words}{unused}')
     return '\n'.join(lines) + '\n'
+
+
+def loops_text(rig: RigResult) -> str:
+    """Return whether the loops close within the standard deviations."""
+    if not rig.degrees:
+        return 'no loop checks the answer'
+    verdict = 'disagree:' if rig.p_value < FALSE_ALARM else 'close with'
+    return (f'loops {verdict} chi-squared {rig.chi_squared:.1f} of {rig.degrees} degrees of '
+            f'freedom (p = {rig.p_value:.2g})')
 
 
 def sensor_rows(rig: RigResult, sensor: SensorAnswer) -> tuple[Row, ...]:

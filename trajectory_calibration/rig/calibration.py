@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import recording_of, recordings_in, Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -95,9 +95,11 @@ def calibrate_rig(
             f'the base {names[0]} has scale free, so that the rig would have no metres; choose '
             f'another base, such as {metric[0]}')
     if len(names) == 2:
-        return _of_two(names[0], names[1], trajectories, config)
-    answers, failures = calibrate_pairs(trajectories, names[0], config)
-    return _of_answers(answers, failures, names, trajectories, config)
+        rig = _of_two(names[0], names[1], trajectories, config)
+    else:
+        answers, failures = calibrate_pairs(trajectories, names[0], config)
+        rig = _of_answers(answers, failures, names, trajectories, config)
+    return replace(rig, recordings=tuple(map(recording_of, trajectories.values())))
 
 
 def fuse_results(
@@ -122,7 +124,11 @@ def fuse_results(
     names = _base_first(dict.fromkeys(name for pair in ends for name in pair), config)
     answers, failures = sorted_out(
         PairAnswer(result.frame_a, result.frame_b, result) for result in results)
-    return _of_answers(answers, failures, names, {}, config)
+    return replace(
+        _of_answers(answers, failures, names, {}, config),
+        recordings=tuple(dict.fromkeys(
+            one for result in results if result.recording is not None
+            for one in recordings_in(result.recording))))
 
 
 def _base_first(given: Iterable[str], config: RigConfig) -> list[str]:
@@ -138,15 +144,16 @@ def _of_two(
     base: str, other: str, trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the answer of ``calibrate`` as a rig."""
-    settings = config.of(other)
-    calibration = replace(config.calibration, **settings.given)
-    if settings.scale == 'free':
-        calibration = replace(calibration, scale_mode='estimate', scale=1.0)
+    calibration = replace(
+        config.calibration, **config.of(other).given, **config.scale_of(other))
     try:
         result = calibrate(trajectories[base], trajectories[other], calibration)
     except CalibrationError as error:
         raise type(error)(in_rig_words(str(error), base, other)) from error
-    covariance = np.eye(6) if result.covariance is None else np.asarray(result.covariance)
+    solved, failures = sorted_out([PairAnswer(base, other, result)])
+    if not solved:
+        raise _no_answer(failures, 2)
+    covariance = solved[0].covariance
     sensors = {
         base: _answer(base, base, np.eye(4), np.zeros((6, 6)), config, trajectories),
         other: _answer(
@@ -164,15 +171,18 @@ def _of_two(
             for found in result.findings), config=config)
 
 
+def _no_answer(failures: Sequence[PairFailure], sensors: int) -> CalibrationError:
+    reasons = '; '.join(f'{pair.parent} - {pair.child}: {pair.reason}' for pair in failures[:3])
+    return CalibrationError(f'no two of {sensors} sensors gave an answer: {reasons}')
+
+
 def _of_answers(
     solved: Sequence[PairAnswer], failures: Sequence[PairFailure], names: Sequence[str],
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the rig of the answers of pairs, tree by tree."""
     if not solved:
-        reasons = '; '.join(f'{pair.parent} - {pair.child}: {pair.reason}'
-                            for pair in failures[:3])
-        raise CalibrationError(f'no two of {len(names)} sensors gave an answer: {reasons}')
+        raise _no_answer(failures, len(names))
     groups = connected(names, solved)
     parts = [
         _solve_group(group, [pair for pair in solved if pair.parent in group], trajectories,

@@ -56,6 +56,7 @@ class RigComparison:
     missing : that the new rig does not have.
     changes : sensors that moved, the largest first.
     chi_squared, degrees, p_value : of no change at all.
+    same_recording : whether both rigs hold one trajectory: they share its errors and tell nothing.
 
     """
 
@@ -66,18 +67,23 @@ class RigComparison:
     chi_squared: float
     degrees: int
     p_value: float
+    same_recording: bool = False
 
     @property
     def holds(self) -> bool:
-        """Tell whether nothing moved."""
+        """Tell whether nothing moved; True as well where nothing could be told: see ``whole``."""
         return not self.changes
 
     @property
     def whole(self) -> bool:
         """Tell whether every sensor was compared, in some direction at least."""
-        return not self.missing and all(item.degrees for item in self.sensors)
+        return not (self.same_recording or self.missing) and all(
+            item.degrees for item in self.sensors)
 
     def __str__(self) -> str:
+        if self.same_recording:
+            return ('cannot tell: both rigs are of one recording, and share its errors; compare '
+                    'rigs of different drives')
         verdict = ('the rig holds' if self.holds else
                    '; '.join(str(change) for change in self.changes))
         missing = f'; not compared: {", ".join(self.missing)}' if self.missing else ''
@@ -89,7 +95,8 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     """Compare two rigs; a sensor is named only as far as the others do not explain it.
 
     The sensor whose own move explains most is taken out first, and so on. Where all sensors seem
-    to move alike, it is the base that did. Raises ResultError for fewer than two common sensors.
+    to move alike, it is the base that did. Of one recording no changes are told. Raises
+    ResultError for fewer than two common sensors.
     """
     base = old.base
     common = [name for name in old.trees.get(base, ())
@@ -125,7 +132,8 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     left, degrees = total, count
     found: list[Change] = []
     free = np.zeros((len(V), 0))
-    while degrees > 0 and exceedance(left, degrees) < FALSE_ALARM:
+    same_recording = not {*old.recordings}.isdisjoint(new.recordings)
+    while not same_recording and degrees > 0 and exceedance(left, degrees) < FALSE_ALARM:
         tried = []
         for name, column in columns.items():
             A = np.concatenate([free, limits * column], axis=1)
@@ -146,7 +154,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     of_base = [item for item in found if item.sensor == base]
     missing = tuple(name for name in old.sensors if name not in common)
     return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
-                         exceedance(total, count))
+                         exceedance(total, count), same_recording)
 
 
 def _twists(

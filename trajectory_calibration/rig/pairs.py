@@ -22,7 +22,6 @@ from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.settings import RigConfig
-from trajectory_calibration.solvers import solver_info
 
 # Up to this many sensors every pair is calibrated.
 _EVERY_PAIR = 4
@@ -75,7 +74,8 @@ def sorted_out(
         if isinstance(pair, PairFailure):
             failures.append(pair)
         elif pair.result.covariance is None:
-            failures.append(PairFailure(pair.parent, pair.child, 'no covariance'))
+            failures.append(PairFailure(pair.parent, pair.child, (
+                'the solver states no covariance; use another one')))
         else:
             answers.append(pair)
     return answers, failures
@@ -83,9 +83,8 @@ def sorted_out(
 
 def _calibrated(task: _Task) -> PairAnswer | PairFailure:
     parent, child, a, b, config = task
-    settings = replace(config.calibration, allow_unobserved=True)
-    if config.of(child).scale == 'free' and 'scale' in solver_info(settings.solver).estimates:
-        settings = replace(settings, scale_mode='estimate', scale=1.0)
+    settings = replace(
+        config.calibration, allow_unobserved=True, **config.scale_of(child))
     try:
         return PairAnswer(parent, child, calibrate(a, b, settings))
     except CalibrationError as error:

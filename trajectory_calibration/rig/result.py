@@ -151,6 +151,8 @@ class RigResult:
     chi_squared, degrees, p_value : of all loops.
     findings : what a person or a program should know, worst first.
     config : the settings.
+    recordings : ``recording_of`` each trajectory; another rig shares errors that shares one. Empty
+        in files that do not say so.
     version : of the package.
 
     """
@@ -166,6 +168,7 @@ class RigResult:
     p_value: float
     findings: tuple[Finding, ...]
     config: RigConfig
+    recordings: tuple[str, ...] = ()
     version: str = __version__
 
     @property
@@ -231,6 +234,7 @@ class RigResult:
             'pairs': [_pair_to_dict(pair) for pair in self.pairs],
             'contradictions': [asdict(item) for item in self.contradictions],
             'findings': [found.to_dict() for found in self.findings],
+            'recordings': list(self.recordings),
             'config': self.config.to_dict(),
         }
 
@@ -256,6 +260,7 @@ class RigResult:
                 degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
                 findings=tuple(map(Finding.from_dict, data['findings'])),
                 config=RigConfig.from_dict(data['config']),
+                recordings=tuple(map(str, data.get('recordings', ()))),
                 version=str(data['package_version']))
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             reason = str(error) if isinstance(error, CalibrationError) else (

@@ -11,6 +11,7 @@ from typing import Any
 from trajectory_calibration.config.prior import parse_prior, Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.solvers import solver_info, solvers_that_estimate
 
 SCALES = ('metric', 'free')
 PAIRS = ('auto', 'all', 'base')
@@ -108,6 +109,18 @@ class RigConfig:
         if self.calibration.prior.given:
             raise ConfigError('a rig has a prior for each sensor, not one for all; write '
                               'prior_translation and the others below the sensor')
+
+        for name, sensor in self.sensors.items():
+            if sensor.scale == 'free' and 'scale' not in (
+                    solver_info(self.calibration.solver).estimates):
+                raise ConfigError(
+                    f'sensor {name} has scale free, which solver {self.calibration.solver} cannot '
+                    f'find; use solver {" or ".join(solvers_that_estimate("scale"))}')
+
+    def scale_of(self, child: str) -> dict[str, Any]:
+        """Return what the scale of a sensor changes in ``calibration`` where it is the child."""
+        free = self.of(child).scale == 'free'
+        return {'scale_mode': 'estimate', 'scale': 1.0} if free else {}
 
     def of(self, name: str) -> SensorSettings:
         """Return the settings of one sensor."""

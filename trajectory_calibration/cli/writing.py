@@ -1,0 +1,142 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""What several subcommands print and write: answers, pages, plots, and what was known before."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+import json
+import os
+from pathlib import Path
+import shlex
+import sys
+from typing import Any, TYPE_CHECKING
+
+from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.yaml_file import to_yaml, write_text
+from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
+from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.extrinsic_file import FORMS, read_extrinsic
+from trajectory_calibration.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from trajectory_calibration.outputs.report import Record
+
+
+def add_truth_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--ground-truth``."""
+    parser.add_argument(
+        '--ground-truth', metavar='FILE', help=f'known pose of b in a: {FORMS}')
+
+
+def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | None:
+    """Return the known pose of b in a, or None where no file was given."""
+    if name is None:
+        return None
+    found = read_extrinsic(name, frame_a, frame_b)
+    if 'inverted' in found.how:
+        # The only formats of which a person may have expected the other direction.
+        print(f'ground truth: {found.how}', file=sys.stderr)
+    return found.T_a_b
+
+
+def print_as(form: str, data: dict[str, Any], text: str) -> None:
+    """Print data as JSON or YAML, or else a text that ends its line itself."""
+    if form == 'json':
+        text = json.dumps(data) + '\n'
+    elif form == 'yaml':
+        text = to_yaml(data)
+    print(text, end='')
+
+
+def require_new(paths: Iterable[Path], *, force: bool) -> None:
+    """Raise where one of the files cannot be written, before there is an answer to lose.
+
+    ConfigError for files that exist, unless they may be overwritten; ResultError for a folder that
+    cannot be made or written to.
+    """
+    paths = list(paths)
+    taken = [path for path in paths if path.is_file()]
+    if taken and not force:
+        exist = f'and {len(taken) - 1} more exist' if len(taken) > 1 else 'exists'
+        raise ConfigError(f'{taken[0]} {exist}; give --force to overwrite, or another name')
+    for path in paths:
+        if path.is_dir():
+            raise ResultError(f'{path} cannot be written: it is a folder; give another name')
+        folder = path.parent
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        if not folder.is_dir():
+            raise ResultError(f'{path.parent} cannot be made: {folder} is a file; give another '
+                              'name')
+        # A device or a pipe is written to as it is.
+        if not path.exists() and not os.access(folder, os.W_OK | os.X_OK):
+            raise ResultError(f'{folder} cannot be written to; give another name, or correct its '
+                              'permissions')
+
+
+def plot_paths(folder: Path | None) -> list[Path]:
+    """Return the files of ``--plots``; MissingPackageError where there is nothing to draw with."""
+    if folder is None:
+        return []
+    from trajectory_calibration.outputs.plots import plot_files
+    return plot_files(folder)
+
+
+def write_pages(
+    result: CalibrationResult, a: Trajectory, b: Trajectory, truth: FloatArray | None,
+    arguments: argparse.Namespace, page: Path | None,
+) -> list[Path]:
+    """Write the page and the plots that were asked for; return the files."""
+    if page is None and arguments.plots is None:
+        return []
+    from trajectory_calibration.outputs.report.data import report_data
+    from trajectory_calibration.outputs.report.render import render
+    written = []
+    record = None if page is None else record_of(arguments, _inputs(arguments))
+    with running_clock('writing the report'):
+        data = report_data(result, a, b, truth)
+        if page is not None:
+            write_text(page, render(data, record))
+            written.append(page)
+        if arguments.plots is not None:
+            from trajectory_calibration.outputs.plots import save_plots
+            save_plots(data, arguments.plots)
+            written.append(arguments.plots)
+    return written
+
+
+def write_failure(
+    error: Exception, trajectories: tuple[Trajectory, ...], config: CalibrationConfig,
+    arguments: argparse.Namespace,
+) -> None:
+    """Write the page of a calibration without an answer, and say so.
+
+    Where that fails, too, the reason stands beside the error, not in its place.
+    """
+    from trajectory_calibration.outputs.report import render_failure
+    try:
+        write_text(arguments.report, render_failure(
+            str(error), trajectories, config=config,
+            record=record_of(arguments, _inputs(arguments))))
+    except CalibrationError as failure:
+        print(f'no report: {failure}', file=sys.stderr)
+    else:
+        print(f'wrote {arguments.report}', file=sys.stderr)
+
+
+def record_of(arguments: argparse.Namespace, inputs: Sequence[tuple[str, Path]]) -> Record:
+    """Return the command line and the hashes of the inputs."""
+    from trajectory_calibration.outputs.report import hash_inputs, Record
+    with progress_bar('hashing the inputs') as progress:
+        hashed = hash_inputs(inputs, progress)
+    return Record(shlex.join(['trajectory_calibration', *arguments.argv]), hashed)
+
+
+def _inputs(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
+    return [('bag', Path(bag)) for bag in arguments.bag] + [
+        (name, Path(getattr(arguments, name))) for name in 'ab'
+        if Path(getattr(arguments, name)).is_file()]

@@ -1,0 +1,67 @@
+# Copyright 2026 trajectory_calibration maintainers
+# SPDX-License-Identifier: Apache-2.0
+"""Saved results of pairs, one of each pair: what a rig is made of without trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.errors import ConfigError, counted, ResultError
+from trajectory_calibration.result import CalibrationResult
+from trajectory_calibration.sources.storage import as_counted
+
+# Files that are named; the rest is counted.
+_NAMED = 3
+
+
+def read_results(
+    paths: Iterable[Path], folder: Path,
+) -> tuple[list[CalibrationResult], tuple[Finding, ...]]:
+    """Return the result of each pair whose recording ended last, and what was not used.
+
+    Of recordings that ended together, or that do not say when, that of the highest number in the
+    name counts. Raises ConfigError where no file, which are all below ``folder``, holds a result.
+    """
+    found: dict[frozenset[str], list[tuple[Path, CalibrationResult]]] = {}
+    failures = []
+    for path in sorted(paths, key=as_counted):
+        result = _read(path)
+        if isinstance(result, ResultError):
+            failures.append(f'{path.relative_to(folder)} ({result})')
+        else:
+            found.setdefault(frozenset((result.frame_a, result.frame_b)), []).append(
+                (path, result))
+    if not found:
+        raise ConfigError(
+            f'{folder} holds no results: {failures[0]}' if failures else
+            f'{folder} holds no .yaml; needed results that calibrate or a node saved')
+    # Of equal ends the last one, as the names have it.
+    used = {pair: max(reversed(items), key=lambda item: _end_ns(item[1]))
+            for pair, items in found.items()}
+    findings = [
+        Finding('rig-result-repeated', (
+            f'{counted(len(items), "result")} of {result.frame_a} - {result.frame_b}: the latest '
+            f'was used, {path.relative_to(folder)}'), {'results': len(items)})
+        for pair, items in found.items() if len(items) > 1 for path, result in [used[pair]]]
+    if failures:
+        more = f' and {len(failures) - _NAMED} more' if len(failures) > _NAMED else ''
+        findings.append(Finding(
+            'rig-result-unread', f'not read: {"; ".join(failures[:_NAMED])}{more}',
+            {'files': len(failures)}))
+    return [result for _, result in used.values()], tuple(findings)
+
+
+def _read(path: Path) -> CalibrationResult | ResultError:
+    try:
+        return CalibrationResult.load(path)
+    except ResultError as error:
+        return error
+
+
+def _end_ns(result: CalibrationResult) -> float:
+    """Return when the data of a result end; before all others where it does not say."""
+    if result.start_ns is None:
+        return float('-inf')
+    return result.start_ns + round(1e9 * (result.duration_s or 0.0))
