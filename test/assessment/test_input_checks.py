@@ -190,7 +190,7 @@ def test_captures_of_a_vehicle_that_stands_still_are_named_with_their_setting(sh
     if not folder.exists():
         pytest.skip(f'no {folder}')
     a, b = (FileSource(folder / f'{name}.tum', sensor_frame=name).load() for name in 'ab')
-    setting = '--association nearest --max-time-difference 0.74'
+    setting = '--association=nearest --max-time-difference=0.74'
     with pytest.raises(AssociationError, match=setting):
         calibrate(a, b)
     found = calibrate(a, b, CalibrationConfig(association='nearest', max_time_difference=0.74))

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe, headline, summary
+from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.online.store import Restored
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
@@ -57,3 +59,22 @@ def test_what_is_unknown_is_no_number(result):
 def test_a_saved_result_waits_for_its_frames_and_is_refused_for_others(result, frames, expected):
     found = Restored(Path('x_000001.yaml'), result).compare(frames)
     assert found == expected if not expected else expected in found
+
+
+@pytest.mark.parametrize('text, wanted', [
+    ('add --prior-translation=-,-,Z --prior-translation-std=0.01, or',
+     'add prior_translation:=-,-,Z prior_translation_std:=0.01, or'),
+    ('Add --prior-translation, --prior-rotation.', 'Add prior_translation, prior_rotation.'),
+    ('--association=nearest --max-time-difference=0.74. If they moved: --max-gap=2',
+     'association:=nearest max_time_difference:=0.74. If they moved: max_gap:=2'),
+    ('or --no-input-checks if', 'or input_checks:=false if'),
+    # The node receives what is published: it has no such parameter.
+    ('Use --invert-a', 'Use --invert-a'),
+])
+def test_options_of_the_command_line_become_parameters(text, wanted):
+    assert in_node_words(text) == wanted
+
+
+def test_findings_in_an_answer_name_parameters(result):
+    said = replace(result, findings=(Finding('direction-weak', 'weak: add --prior-rotation=R'),))
+    assert '\n - warning: weak: add prior_rotation:=R\n' in describe(said)

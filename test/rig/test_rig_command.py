@@ -412,7 +412,7 @@ def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):
     ('measure it, or set allow_unobserved', 'measure it'),
     ('or --no-input-checks', 'or input_checks: false in settings of RIG.yaml'),
     ('--quaternion-order-b wxyz?', 'quaternion_order: wxyz below B in RIG.yaml?'),
-    ('--max-time-difference 0.1. Or --max-gap 2', (
+    ('--max-time-difference=0.1. Or --max-gap=2', (
         'max_time_difference: 0.1 in settings of RIG.yaml. Or max_gap: 2 in settings of RIG.yaml'),
      ),
 ])

@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 
+from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.outputs.screen import deviation_words, transform_words
 from trajectory_calibration.result import CalibrationResult
 
@@ -51,7 +52,7 @@ def describe(result: CalibrationResult, *notes: str) -> str:
         f'fit residual {result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per '
         'motion (not the accuracy)')
     lines += filter(None, notes)
-    lines += [f'{finding.level}: {finding.text}' for finding in result.findings]
+    lines += [f'{finding.level}: {in_node_words(finding.text)}' for finding in result.findings]
     return f'{_NEXT_LINE.join(lines)}\n{summary(result)}'
 
 

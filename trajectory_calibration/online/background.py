@@ -15,6 +15,7 @@ from trajectory_calibration.errors import CalibrationError
 from trajectory_calibration.fleet.verification import CANNOT_TELL
 from trajectory_calibration.online.advice import Advice, AdviceJob, FEWEST_S
 from trajectory_calibration.online.motion import Motion, NO_MOTION
+from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.verification import Monitor, MonitorJob, Verdict
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
@@ -103,7 +104,7 @@ class Background:
         if isinstance(outcome, CalibrationError):
             # What fails is advice, too; data that give no answer tell nothing of the extrinsic.
             outcome = (Verdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
-                       else Advice(failure=str(outcome)))
+                       else Advice(failure=in_node_words(str(outcome))))
         if isinstance(outcome, Advice):
             self.advice = outcome
         else:

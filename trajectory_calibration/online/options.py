@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 import math
+import re
 import sys
 import textwrap
 from typing import Any
@@ -28,6 +29,9 @@ _FOREIGN_PREFIX = 'qos_overrides.'
 
 # The type that means: what the topic's publishers offer.
 AUTOMATIC = 'auto'
+
+# An option of the command line in a sentence, and its value.
+_OF_COMMAND = re.compile(r'--(no-)?([a-z]+(?:-[a-z]+)*)(?:=(\S*\w))?')
 
 _LIMITS = BufferLimits()
 _TYPES = f'{AUTOMATIC} (what its publishers offer), {", ".join(TRAJECTORY_TYPES)}'
@@ -160,6 +164,18 @@ def find_type(name: str) -> str | None:
 def find_frames(topic: str) -> tuple[str, str] | None:
     """Return the two frames of ``tf:PARENT.CHILD``, None for a topic."""
     return parse_tf(topic) if topic.startswith(TF_PREFIX) else None
+
+
+def in_node_words(text: str) -> str:
+    """Return a sentence with parameters of the node in place of options of the command line."""
+    def word(found: re.Match[str]) -> str:
+        name = found[2].replace('-', '_')
+        value = 'false' if found[1] else found[3]
+        if name not in OPTIONS:
+            return found[0]
+        return f'{name}:={value}' if value else name
+
+    return _OF_COMMAND.sub(word, text)
 
 
 def parameter_file() -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-import re
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.motion import Motion, NO_MOTION
+from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.online.track import Track
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.report.tracks import corrected_b, registration
@@ -97,7 +97,7 @@ class CalibrationJob:
             # What was refused may be why.
             notes = [note for note in (*self.track_a.warnings, *self.track_b.warnings)
                      if note not in str(error)]
-            raise type(error)('; '.join([str(error), *notes])) from error
+            raise type(error)('; '.join([in_node_words(str(error)), *notes])) from error
 
 
 class CalibrationSession:
@@ -188,8 +188,7 @@ class CalibrationState:
 
 def _way_out(result: CalibrationResult) -> str:
     """Return why directions are open and what the findings advise, in words of the node."""
-    why = re.sub(r'--([a-z-]+)(=?)',
-                 lambda option: option[1].replace('-', '_') + (option[2] and ':='),
-                 '; '.join(found.text.partition(': ')[2] for found in result.observability.findings
-                           if found.code == 'direction-unobserved'))
+    why = in_node_words('; '.join(
+        found.text.partition(': ')[2] for found in result.observability.findings
+        if found.code == 'direction-unobserved'))
     return why[:1].upper() + why[1:]

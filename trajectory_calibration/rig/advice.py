@@ -8,7 +8,7 @@ import re
 
 _PRIOR = re.compile(r'--prior-(translation|rotation)=(\S+) --prior-\1-std=(\d+(?:\.\d+)?)')
 _OF_SENSOR = re.compile(r'--(invert|quaternion-order)(?:-([ab]))?(?: (wxyz|xyzw))?')
-_SETTING = re.compile(r'--(association|max-time-difference|max-gap) (\w[\w.+-]*\w|\w)')
+_SETTING = re.compile(r'--(association|max-time-difference|max-gap)=(\w[\w.+-]*\w|\w)')
 
 # Of the node; where a rig is exported, it is said which option writes it.
 _PUBLISHED = re.compile(r', or(?:, in the node,)? set allow_unobserved[^.;]*')

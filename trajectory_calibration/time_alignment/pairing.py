@@ -197,8 +197,8 @@ def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:
     if apart >= step:
         return ('Raise max_gap, set time_offset, or leave it to association auto which sensor is '
                 'interpolated')
-    return ('If the sensors stood still at each pose: --association nearest '
-            f'--max-time-difference {apart:g}. If they moved: --max-gap {step:g}')
+    return ('If the sensors stood still at each pose: --association=nearest '
+            f'--max-time-difference={apart:g}. If they moved: --max-gap={step:g}')
 
 
 def _summarise(
