@@ -6,10 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from thinning import thinned
 
+from benchmarks.drives import FAMILIES, make
+from benchmarks.families import trajectory
 from trajectory_calibration import calibrate
-from trajectory_calibration.geometry import se3
+from trajectory_calibration.assessment import steadiness
+from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.simulation import SCENARIOS, simulate
+from trajectory_calibration.time_alignment.pairing import associate
 
 # What they hold is arithmetic: one set of dependencies tells it.
 pytestmark = pytest.mark.once
@@ -58,6 +63,34 @@ def test_sound_drives_have_no_such_finding(scenario):
         run = simulate(SCENARIOS[scenario], seed)
         assert not found(run.a, run.b, 'extrinsic-unsteady')
         assert not found(run.a, run.b, 'orientations-identical')
+
+
+@pytest.mark.statistical
+@thinned('seeds', 2, 12)
+def test_false_alarms_are_as_rare_as_stated(monkeypatch, seeds):
+    """Of whatever size, about true extrinsics; at limits that chance exceeds often enough."""
+    monkeypatch.setattr(steadiness, '_MATTERS', 0.0)
+    monkeypatch.setattr(steadiness, '_SCALE', 0.0)
+    stated = np.array([0.3, 0.1])
+    alarms = []
+    for name in sorted(FAMILIES):
+        for seed in range(seeds):
+            run = make(name, seed)
+            pairs = associate(trajectory(run.a, 'a'), trajectory(run.b, 'b'))
+            for false_alarm in stated:
+                monkeypatch.setattr(chi_squared, 'FALSE_ALARM', false_alarm)
+                alarms.append(steadiness.unsteady(run.T_a_b, np.eye(6), pairs, ('a', 'b')) != ())
+    rate = np.reshape(alarms, (-1, 2)).mean(axis=0)
+    # Beyond this by chance once in a thousand.
+    assert (rate < stated + 3.1 * np.sqrt(stated * (1 - stated) * 2 / len(alarms))).all()
+
+
+@pytest.mark.parametrize('change', [
+    {'turn_deg': 2.0}, {'turn_deg': 4.0, 'slowly': True}, {'scale': 0.8, 'slowly': True}])
+def test_a_change_is_far_beyond_the_limit(monkeypatch, change):
+    """It is found also where a false alarm is a million times rarer than stated."""
+    monkeypatch.setattr(chi_squared, 'FALSE_ALARM', 1e-6 * chi_squared.FALSE_ALARM)
+    assert found(RUN.a, changed(**change), 'extrinsic-unsteady')
 
 
 def test_a_new_world_is_no_new_mount():

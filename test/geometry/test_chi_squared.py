@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Our chi-squared functions agree with SciPy's."""
+"""Our chi-squared and Student's functions agree with SciPy's."""
 
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
 from trajectory_calibration.geometry import chi_squared
 
@@ -22,3 +22,10 @@ def test_probabilities_and_quantiles_are_those_of_scipy(k):
 def test_the_default_probability_is_the_stated_false_alarm():
     assert chi_squared.quantile(3) == pytest.approx(chi2.isf(chi_squared.FALSE_ALARM, 3))
     assert chi_squared.exceedance(-1.0, 3) == 1.0
+
+
+@pytest.mark.parametrize('k', [1, 2, 3, 4, 9, 22, 101])
+def test_quantiles_of_student_are_those_of_scipy(k):
+    for probability in (0.5, 0.05, 1e-3, 1e-6, 1e-8):
+        assert chi_squared.student_quantile(k, probability) == pytest.approx(
+            t.isf(probability / 2, k), rel=1e-6)

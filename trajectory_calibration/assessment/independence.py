@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajectory_calibration.assessment.motion_equations import linearised
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
@@ -37,15 +38,12 @@ def one_orientation(
     motions = select_motions(pairs, 'B1', _MOTIONS)
     if len(motions) < _FEWEST:
         return ()
-    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
-    turn_a, turn_b = (se3.log_so3(steps[:, :3, :3]) for steps in (motions.A, motions.B))
-    parted = float(np.median(np.linalg.norm(turn_a - turn_b @ R.T, axis=1)))
-    turned = float(np.median(np.linalg.norm(turn_a, axis=1)))
+    turns, ways = linearised(T_a_b, motions)
+    parted = float(np.median(np.linalg.norm(turns.left, axis=1)))
+    turned = float(np.median(se3.rotation_angle(motions.A[:, :3, :3])))
     if parted > _DIGITS or turned < _TURNED * _DIGITS:
         return ()
-    way = motions.B[:, :3, 3] @ R.T
-    rest = motions.A[:, :3, 3] + (motions.A[:, :3, :3] - np.eye(3)) @ t - way
-    length = np.linalg.norm(way, axis=1)[:, None]
+    rest, length = ways.left, np.linalg.norm(motions.B[:, :3, 3], axis=1)[:, None]
     drift = np.median(rest / np.maximum(length, np.finfo(float).tiny), axis=0)
     apart = float(np.median(np.linalg.norm(rest - drift * length, axis=1)))
     if apart < max(_APART, _NO_DRIFT * float(np.median(np.linalg.norm(rest, axis=1)))):

@@ -135,7 +135,7 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
 
 
 def check_answer(
-    T_a_b: FloatArray, covariance: FloatArray | None, pairs: PosePairs, frames: tuple[str, str],
+    T_a_b: FloatArray, covariance: FloatArray, pairs: PosePairs, frames: tuple[str, str],
     config: CalibrationConfig,
 ) -> tuple[Finding, ...]:
     """Return what is wrong with an answer although the two move as one body.

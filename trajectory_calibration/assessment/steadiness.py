@@ -3,9 +3,22 @@
 """Whether one extrinsic and one scale hold along a whole drive.
 
 A mount that moves, or a monocular SLAM that begins anew with another scale, leaves two answers in
-one drive; a solver gives something between them and calls it sure. The drive is cut into parts,
-and for each cut between them the pose and the scale before are compared with those after, by what
-the parts of either side scatter.
+one drive; a solver gives something between them and calls it sure. The drive is cut into parts.
+For each course that a change may take, a step at a cut or a steady one, and for each of seven
+unknowns, the change is a least-squares estimate over the parts, and
+
+    t = change / std,    std^2 = f P,    f = u' W u / tr(W C),
+
+where P is the variance that the information of the parts gives, and f by how much their scores u
+of that unknown scatter more, about the change, than their own covariance C says. W counts the
+correlation of neighbouring parts (Bartlett's kernel). Where nothing changes, t has Student's
+distribution with ``tr(W C)^2 / tr(W C W C)`` degrees of freedom, and the limit is its quantile at
+the one false-alarm probability of the package, divided by the number of courses and unknowns.
+Noise that goes on for longer than a few parts has heavier tails than that; docs/uncertainty.md
+has the measured rates. The covariance of the answer is no measure: a change widens it, too.
+
+F. E. Satterthwaite, "An approximate distribution of estimates of variance components", Biometrics
+Bulletin 2(6), 1946, doi:10.2307/3002019, for the degrees of freedom of a quadratic form.
 """
 
 from __future__ import annotations
@@ -14,120 +27,94 @@ from typing import NamedTuple
 
 import numpy as np
 
+from trajectory_calibration.assessment.motion_equations import (
+    linearised,
+    motions_over,
+    weights_of,
+)
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import rounded
-from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry import chi_squared
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Seconds of a motion, motions in that time and in all, and parts of the drive.
-_LAG_S, _OVERLAPPING, _MOTIONS, _PARTS = 2.0, 4, 2000, 12
-# Motions that a part needs.
-_FEWEST = 10
-# Longer ones, in terms of the usual, reach across gaps; larger turns (radians) flip their axis.
-_LONG, _LARGEST_TURN = 2.5, 2.6
+# Seconds of a motion, and motions in all.
+_LAG_S, _MOTIONS = 2.0, 2000
+# Parts of the drive, those on either side of a cut at least, and motions in each.
+_PARTS, _LEAST_PARTS, _FEWEST = 24, 4, 5
+# Parts over which scores may be correlated.
+_CORRELATED = 2
 # Unknowns: the rotation and the translation of the pose, the logarithm of the scale.
 _UNKNOWNS = 7
-_ROUNDS, _FREEDOM = 6, 4.0
+_ROUNDS = 6
 # Directions with a smaller share of the information than this are not compared.
 _UNSEEN = 1e-6
-# The statistic is one on average where all is well. Over 20 real pairs it reaches 6, where a
-# monocular SLAM changes its scale by 4 % on the way; mounts that moved by 2 deg give 20 to 270.
-_UNSTEADY = 12.0
-# Standard deviations of one unknown that name it, and of the answer that matter.
-_NAMED, _MATTERS = 4.0, 2.0
-# The same of the scale, and what is rounding, radians and metres.
-_SCALE, _ROUNDING = 0.01, 1e-6
+# Standard deviations of the answer, and the share in scale, from which a change matters; what is
+# rounding, radians and metres.
+_MATTERS, _SCALE, _ROUNDING = 2.0, 0.02, 1e-6
+
+_PART = np.arange(_PARTS)
+_CUTS = np.arange(_LEAST_PARTS, _PARTS - _LEAST_PARTS + 1)
+# What each part has of a change: all of it behind a cut, and in the last row a growing share.
+_COURSES = np.vstack([_CUTS[:, None] <= _PART, (_PART + 0.5) / _PARTS])
+_KERNEL = np.maximum(1 - np.abs(_PART[:, None] - _PART) / _CORRELATED, 0.0)
 
 
 class _Change(NamedTuple):
-    """The cut of a drive between the parts that differ most.
+    """(7,) change by one course, and its ``|t|`` in terms of the limit."""
 
-    ``statistic``; ``part``, the first one behind it; (7,) ``step`` and its ``std``.
-    """
-
-    statistic: float
-    part: int
-    step: FloatArray
-    std: FloatArray
+    size: FloatArray
+    excess: FloatArray
 
 
 def unsteady(
-    T_a_b: FloatArray, covariance: FloatArray | None, pairs: PosePairs, frames: tuple[str, str],
+    T_a_b: FloatArray, covariance: FloatArray, pairs: PosePairs, frames: tuple[str, str],
 ) -> tuple[Finding, ...]:
     """Return a finding where the pose of b in a, or the scale, changes during the drive.
 
     ``pairs`` have the scale of b corrected; ``covariance`` is (6, 6) of the answer.
     """
-    if covariance is None:
+    motions = motions_over(pairs, _LAG_S, fewest=_FEWEST * _PARTS, at_most=_MOTIONS)
+    if motions is None:
         return ()
-    (lag,) = lag_grid(pairs.stamps_ns, (_LAG_S,), 1.0)
-    count = min(_MOTIONS, _OVERLAPPING * len(pairs) // lag)
-    if count < _FEWEST * _PARTS:
-        return ()
-    motions = select_motions(pairs, f'B{lag}', count)
-    time_s = (pairs.stamps_ns[motions.j] - pairs.stamps_ns[motions.i]) * 1e-9
-    turn = np.maximum(*(se3.rotation_angle(poses[:, :3, :3]) for poses in (motions.A, motions.B)))
-    usable = np.flatnonzero((time_s < _LONG * np.median(time_s)) & (turn < _LARGEST_TURN))
-    motions = motions.picked(usable)
-    if len(motions) < _FEWEST * _PARTS:
-        return ()
-    H, g = _equations(T_a_b, motions.A, motions.B)
-    change = _largest_change(H, g)
+    H, g = _information(T_a_b, motions)
+    changes = [_change(H, g, course) for course in _COURSES]
     std = np.sqrt(np.diag(covariance))[[3, 4, 5, 0, 1, 2]]
-    size = np.abs(change.step) / change.std
-    sure = size > _NAMED
-    known = np.append(np.maximum(std, _ROUNDING), _SCALE)
-    matters = sure & (np.abs(change.step) > _MATTERS * known)
-    if change.statistic < _UNSTEADY or not matters.any():
+    least = np.append(_MATTERS * np.maximum(std, _ROUNDING), _SCALE)
+    excess = [np.where(np.abs(size) > least, beyond, 0.0).max() for size, beyond in changes]
+    found = int(np.argmax(excess))
+    if excess[found] < 1:
         return ()
-    first = motions.i[change.part * len(motions) // _PARTS]
-    since_s = float(pairs.stamps_ns[first] - pairs.stamps_ns[0]) * 1e-9
-    turned, moved = (float(np.linalg.norm(np.where(sure, change.step, 0.0)[part]))
-                     for part in (slice(0, 3), slice(3, 6)))
-    scaled = float(np.expm1(change.step[6])) if sure[6] else 0.0
+    size, beyond = changes[found]
+    size = np.where(beyond > 1, size, 0.0)
+    turned, moved = float(np.linalg.norm(size[:3])), float(np.linalg.norm(size[3:6]))
+    scaled = float(np.expm1(size[6]))
     by = ' and '.join(text for text, value in (
         (f'{rounded(np.rad2deg(turned))} deg', turned), (f'{rounded(moved)} m', moved),
         (f'{scaled:+.1%} in scale', scaled)) if value)
     question = (f'did {frames[0]} or {frames[1]} move on its mount' if turned or moved else
                 f'did the SLAM of {frames[1]} begin anew with another scale')
+    first = len(motions) * (_CUTS[found] if found < len(_CUTS) else _PARTS // 2) // _PARTS
+    since_s = float(pairs.stamps_ns[motions.i[first]] - pairs.stamps_ns[0]) * 1e-9
+    what = (f'the first {since_s:.0f} s and the rest of the drive differ by {by}'
+            if found < len(_CUTS) else f'the extrinsic changes steadily, by {by} over the drive')
     return (Finding(
-        'extrinsic-unsteady',
-        f'the first {since_s:.0f} s and the rest of the drive differ by {by}: {question}? '
-        'Calibrate the parts separately',
+        'extrinsic-unsteady', f'{what}: {question}? Calibrate the parts separately',
         {'at_s': since_s, 'turned_deg': float(np.rad2deg(turned)), 'moved_m': moved,
          'scale_change': scaled}),)
 
 
-def _equations(
-    T_a_b: FloatArray, A: FloatArray, B: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (P, 7, 7) and (P, 7) normal equations of the parts, about one answer.
-
-    Of turns ``log A = R log B`` and of ways ``v_a + (R_A - I) t = s R v_b``, weighted by
-    Student's distribution, which jumps hardly move.
-    """
-    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
-    turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]) @ R.T
-    way_a, way_b = A[:, :3, 3], B[:, :3, 3] @ R.T
-    lever = A[:, :3, :3] - np.eye(3)
-    nothing = np.zeros((len(A), 3, 1))
-    both = (
-        (np.concatenate([-se3.skew(turn_b), np.zeros_like(lever), nothing], axis=2),
-         turn_a - turn_b),
-        (np.concatenate([-se3.skew(way_b), -lever, way_b[:, :, None]], axis=2),
-         way_a + lever @ t - way_b))
-    left = [residual for _, residual in both]
-    parts = np.arange(len(A)) * _PARTS // len(A)
+def _information(T_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, FloatArray]:
+    """Return (P, 7, 7) information and (P, 7) scores of the parts, about one answer for all."""
+    both = linearised(T_a_b, motions)
+    left = [equations.left for equations in both]
+    parts = np.arange(len(motions)) * _PARTS // len(motions)
     H, g = np.zeros((_PARTS, _UNKNOWNS, _UNKNOWNS)), np.zeros((_PARTS, _UNKNOWNS))
     for _ in range(_ROUNDS):
         H[:], g[:] = 0.0, 0.0
         for (J, residual), remaining in zip(both, left, strict=True):
-            square = np.sum(remaining**2, axis=1)
-            variance = max(float(np.median(square)) / 2.37, np.finfo(float).tiny)
-            weights = (_FREEDOM + 3) / (_FREEDOM + square / variance) / variance
-            weighted = weights[:, None, None] * J
+            weighted = weights_of(remaining)[:, None, None] * J
             np.add.at(H, parts, np.swapaxes(weighted, 1, 2) @ J)
             np.add.at(g, parts, np.einsum('kij,ki->kj', weighted, residual))
         off = _inverse(H.sum(axis=0)) @ g.sum(axis=0)
@@ -135,27 +122,31 @@ def _equations(
     return H, g
 
 
-def _largest_change(H: FloatArray, g: FloatArray) -> _Change:
-    """Return the change at the cut where what is before and behind it differs most."""
+def _change(H: FloatArray, g: FloatArray, course: FloatArray) -> _Change:
+    """Return the change by a (P,) course, from the information and the scores of the parts."""
     unit = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit
-    of_parts = _inverse(H)
-    found = []
-    for cut in range(2, _PARTS - 1):
-        answers, scatter = [], 0.0
-        for side in (slice(0, cut), slice(cut, _PARTS)):
-            P = _inverse(H[side].sum(axis=0))
-            x = P @ g[side].sum(axis=0)
-            answers.append((x, P))
-            scatter += sum(float(rest @ of_part @ rest) for of_part, rest in zip(
-                of_parts[side], g[side] - H[side] @ x, strict=True))
-        # By how much parts scatter more than the noise of single motions lets them.
-        inflation = max(scatter / (_UNKNOWNS * (_PARTS - 2)), 1.0)
-        step, variance = answers[1][0] - answers[0][0], answers[0][1] + answers[1][1]
-        found.append(_Change(
-            float(step @ _inverse(variance) @ step) / _UNKNOWNS / inflation, cut,
-            step / unit, np.sqrt(np.maximum(np.diag(variance) * inflation, 1e-300)) / unit))
-    return max(found, key=lambda change: change.statistic)
+    # What holds at the beginning, and the change.
+    columns = np.stack([np.ones(_PARTS), course])
+    P = _inverse(np.einsum('ip,jp,pab->iajb', columns, columns, H).reshape(
+        2 * _UNKNOWNS, 2 * _UNKNOWNS))
+    solved = (P @ (columns @ g).ravel()).reshape(2, _UNKNOWNS)
+    # Scores of one unknown, whatever the others are; a column for each.
+    along = _inverse(H.sum(axis=0))
+    u = (g - np.einsum('pab,pb->pa', H, columns.T @ solved)) @ along
+    H_along = np.moveaxis(H @ along, 2, 0)
+    own = np.einsum('ak,kpa->kp', along, H_along)
+    through = np.einsum('ip,kpa->kpia', columns, H_along).reshape(_UNKNOWNS, _PARTS, -1)
+    C = own[:, :, None] * np.eye(_PARTS) - through @ P @ np.swapaxes(through, 1, 2)
+    WC = _KERNEL @ C
+    tiny = np.finfo(float).tiny
+    expected = np.maximum(np.trace(WC, axis1=1, axis2=2), tiny)
+    freedom = expected**2 / np.maximum(np.einsum('kpq,kqp->k', WC, WC), tiny)
+    scatter = np.einsum('pk,pq,qk->k', u, _KERNEL, u) / expected
+    std = np.sqrt(np.maximum(scatter * np.diag(P)[_UNKNOWNS:], tiny))
+    probability = chi_squared.FALSE_ALARM / (len(_COURSES) * _UNKNOWNS)
+    limit = [chi_squared.student_quantile(max(1, int(n)), probability) for n in freedom]
+    return _Change(solved[1] / unit, np.abs(solved[1]) / std / limit)
 
 
 def _inverse(H: FloatArray) -> FloatArray:

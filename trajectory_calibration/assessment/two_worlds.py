@@ -13,17 +13,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from trajectory_calibration.assessment.motion_equations import (
+    linearised,
+    motions_over,
+    weights_of,
+)
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import lag_grid, select_motions
+from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Seconds of a motion: over shorter ones, filters of a SLAM look like a rotation of some degrees.
-_LAG_S, _OVERLAPPING, _MOTIONS, _FEWEST = 8.0, 4, 800, 40
-_LONG, _LARGEST_TURN = 2.5, 2.6
-_PARTS, _ROUNDS, _FREEDOM = 12, 10, 4.0
+_LAG_S, _MOTIONS, _FEWEST = 8.0, 800, 40
+_PARTS, _ROUNDS = 12, 10
 # Radians of a step, and the share of the information below which a direction is not solved for.
 _STEP, _UNSEEN = 0.5, 1e-8
 # Angles between the two rotations that are none, standard deviations, and the share of what the
@@ -39,26 +43,18 @@ def two_worlds(
 
     ``pairs`` have the scale of b corrected.
     """
-    (lag,) = lag_grid(pairs.stamps_ns, (_LAG_S,), 1.0)
-    count = min(_MOTIONS, _OVERLAPPING * len(pairs) // lag)
-    if count < _FEWEST:
+    motions = motions_over(pairs, _LAG_S, fewest=_FEWEST, at_most=_MOTIONS)
+    if motions is None:
         return ()
-    motions = select_motions(pairs, f'B{lag}', count)
-    time_s = (pairs.stamps_ns[motions.j] - pairs.stamps_ns[motions.i]) * 1e-9
-    turn = np.maximum(*(se3.rotation_angle(poses[:, :3, :3]) for poses in (motions.A, motions.B)))
-    usable = (time_s < _LONG * np.median(time_s)) & (turn < _LARGEST_TURN)
-    A, B = motions.A[usable], motions.B[usable]
-    if len(A) < _FEWEST:
-        return ()
-    of_turns, turn_variance = _rotation(T_a_b, A, B, by_way=False)
-    of_ways, way_variance = _rotation(T_a_b, A, B, by_way=True)
+    of_turns, turn_variance = _rotation(T_a_b, motions, by_way=False)
+    of_ways, way_variance = _rotation(T_a_b, motions, by_way=True)
     apart = se3.log_so3((of_turns @ of_ways.T)[None])[0]
     angle = float(np.linalg.norm(apart))
     if angle < _APART:
         return ()
     axis = apart / angle
     std = float(np.sqrt(axis @ (turn_variance + way_variance) @ axis))
-    if angle < _SIGMA * std or _shared_turning(axis, of_turns, A, B) < _SHARED:
+    if angle < _SIGMA * std or _shared_turning(axis, of_turns, motions) < _SHARED:
         return ()
     return (Finding(
         'worlds-differ',
@@ -69,29 +65,19 @@ def two_worlds(
 
 
 def _rotation(
-    T_a_b: FloatArray, A: FloatArray, B: FloatArray, *, by_way: bool,
+    T_a_b: FloatArray, motions: MotionPairs, *, by_way: bool,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (3, 3) the rotation that turns alone, or ways alone, tell, and its covariance.
 
-    Of turns ``log A = R log B`` or of ways ``v_a + (R_A - I) t = s R v_b``, weighted by Student's
-    distribution; the covariance is the sandwich over parts of the drive.
+    The covariance is the sandwich over parts of the drive.
     """
-    R, t, scale = T_a_b[:3, :3], T_a_b[:3, 3], 1.0
-    turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
-    lever = A[:, :3, :3] - np.eye(3)
-    parts = np.arange(len(A)) * _PARTS // len(A)
+    T_a_b, scale = T_a_b.copy(), 1.0
+    parts = np.arange(len(motions)) * _PARTS // len(motions)
     covariance = np.zeros((3, 3))
     for _ in range(_ROUNDS):
-        if by_way:
-            moved = scale * B[:, :3, 3] @ R.T
-            J = np.concatenate([-se3.skew(moved), -lever, moved[:, :, None]], axis=2)
-            left = A[:, :3, 3] + lever @ t - moved
-        else:
-            turned = turn_b @ R.T
-            J, left = -se3.skew(turned), turn_a - turned
-        square = np.sum(left**2, axis=1)
-        variance = max(float(np.median(square)) / 2.37, np.finfo(float).tiny)
-        weighted = ((_FREEDOM + 3) / (_FREEDOM + square / variance) / variance)[:, None, None] * J
+        turns, ways = linearised(T_a_b, motions, scale)
+        J, left = ways if by_way else (turns.J[:, :, :3], turns.left)
+        weighted = weights_of(left)[:, None, None] * J
         H = np.einsum('kij,kil->jl', weighted, J)
         unit = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
         P = np.linalg.pinv(H / np.outer(unit, unit), rcond=_UNSEEN, hermitian=True) / np.outer(
@@ -102,16 +88,17 @@ def _rotation(
         covariance = P[:3, :3] * inflation
         step = P @ g.sum(axis=0)
         step[:3] *= min(1.0, _STEP / max(float(np.linalg.norm(step[:3])), 1e-9))
-        R = se3.exp_so3(step[:3]) @ R
+        T_a_b[:3, :3] = se3.exp_so3(step[:3]) @ T_a_b[:3, :3]
         if by_way:
-            t, scale = t + step[3:6], scale * float(np.exp(np.clip(step[6], -1.0, 1.0)))
-    return R, covariance
+            T_a_b[:3, 3] += step[3:6]
+            scale *= float(np.exp(np.clip(step[6], -1.0, 1.0)))
+    return T_a_b[:3, :3], covariance
 
 
-def _shared_turning(axis: FloatArray, R: FloatArray, A: FloatArray, B: FloatArray) -> float:
+def _shared_turning(axis: FloatArray, R: FloatArray, motions: MotionPairs) -> float:
     """Return which share both sensors saw of the turns that tell the rotation about an axis."""
     across_a, across_b = (
-        turns - np.outer(turns @ axis, axis)
-        for turns in (se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]) @ R.T))
+        turns - np.outer(turns @ axis, axis) for turns in (
+            se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3]) @ R.T))
     both = float(np.sum(across_a * across_b))
     return 2 * both / max(float(np.sum(across_a**2) + np.sum(across_b**2)), np.finfo(float).tiny)

@@ -1,14 +1,15 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Chi-squared probabilities and quantiles, and the one false-alarm probability of all checks.
+"""Quantiles of chi-squared and Student's t, and the one false-alarm probability of all checks.
 
-SciPy has both; importing ``scipy.special`` takes longer than a calibration. For whole degrees of
-freedom the probability is a finite sum: M. Abramowitz, I. A. Stegun, "Handbook of Mathematical
-Functions", 1964, 26.4.4 and 26.4.5.
+SciPy has them; importing ``scipy.special`` takes longer than a calibration. For whole degrees of
+freedom the probabilities are finite sums: M. Abramowitz, I. A. Stegun, "Handbook of Mathematical
+Functions", 1964, 26.4.4, 26.4.5, 26.7.3 and 26.7.4.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 import math
 
@@ -35,9 +36,30 @@ def quantile(degrees_of_freedom: int, probability: float = FALSE_ALARM) -> float
     low, high = 0.0, float(degrees_of_freedom)
     while exceedance(high, degrees_of_freedom) > probability:
         low, high = high, 2 * high
-    # By halves, down to neighbouring numbers.
+    return _bisected(low, high, lambda value: exceedance(value, degrees_of_freedom) > probability)
+
+
+@lru_cache(maxsize=256)
+def student_quantile(degrees_of_freedom: int, probability: float = FALSE_ALARM) -> float:
+    """Return the value that the size of Student's t exceeds with a probability in (0, 1)."""
+    odd = degrees_of_freedom % 2
+
+    def exceeds(angle: float) -> bool:
+        cosine = math.cos(angle)
+        term, total = cosine if odd else 1.0, 0.0
+        for k in range(odd, degrees_of_freedom - 1, 2):
+            total += term
+            term *= (k + 1) / (k + 2) * cosine**2
+        total *= math.sin(angle)
+        return 1 - (2 / math.pi * (angle + total) if odd else total) > probability
+
+    return math.sqrt(degrees_of_freedom) * math.tan(_bisected(0.0, math.pi / 2, exceeds))
+
+
+def _bisected(low: float, high: float, above: Callable[[float], bool]) -> float:
+    """Return where a test, true at the low end, begins to fail: by halves, to the last digit."""
     while low < (middle := 0.5 * (low + high)) < high:
-        if exceedance(middle, degrees_of_freedom) > probability:
+        if above(middle):
             low = middle
         else:
             high = middle
