@@ -122,12 +122,13 @@ def half_width_ns(a: Trajectory, cell_ns: int) -> int:
 
 
 def _regress(
-    turning: Turning, shift: float, rate: float, half_ns: int, basis: FloatArray,
+    turning: Turning, shift: float, rate: float, half_ns: int, basis: FloatArray, *,
+    gain: bool = False,
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return (n,) further shifts (s) and their deviations, from windows moved already.
 
     They go with the (K, n) columns of the ``basis``; the rotation between the sensors takes part
-    with three of its own.
+    with three of its own, and a gain of the turning with one where it is asked for.
     """
     shift_ns = round(shift * 1e9)
     (of_a, later, earlier), _ = turning.of_a_with_noise(
@@ -141,8 +142,9 @@ def _regress(
         return None
     R = se3.nearest_rotation(of_a[known].T @ turning.of_b[known])
     residual = turning.of_b @ R.T - of_a
+    others = [-se3.skew(of_a), of_a[:, :, None]][:1 + gain]
     J, J_quarters = (
-        np.concatenate([slope[:, :, None] * columns[:, None, :], -se3.skew(of_a)], axis=2)
+        np.concatenate([slope[:, :, None] * columns[:, None, :], *others], axis=2)
         for columns in (basis, _quarters(turning)))
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.median(size[known])), np.finfo(float).tiny)
@@ -161,6 +163,16 @@ def _regress(
     if n < 4:
         squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
     return step[:n], np.sqrt(np.maximum(squares, 0.0))
+
+
+def shifts_along(
+    turning: Turning, half_ns: int, basis: FloatArray,
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return (n,) shifts (s) that go with (K, n) columns, and their deviations, without a drift.
+
+    Also of wheels, which turn by a gain more; None where the rotation does not tell.
+    """
+    return _regress(turning, 0.0, 0.0, half_ns, basis, gain=True)
 
 
 def _fit(
