@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Covariances are judged by coverage: errors against a known truth, over many seeds."""
 
-from motion_data import random_pose, stamps, wander
+from motion_data import random_pose
 import numpy as np
 import pytest
 from thinning import thinned
 
 from trajectory_calibration import calibrate, CalibrationConfig, SolverError
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
-from trajectory_calibration.assessment.variogram import identify_noise
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
@@ -145,24 +144,6 @@ def test_what_a_solver_cannot_correct_is_counted_and_said():
     assert 'dnl cannot correct' in finding.text
     error = error_of(solution.T_a_b, truth)
     assert (np.abs(error) < 3 * np.sqrt(np.diagonal(found.covariance))).all()
-
-
-def test_noise_is_identified():
-    rng = np.random.default_rng(8)
-    body = wander(rng, 3000)
-    steps = np.linalg.norm(np.diff(body[:, :3, 3], axis=0), axis=1)
-    walked = se3.inverse(body[:-1]) @ body[1:] @ se3.exp_se3(
-        rng.normal(size=(2999, 6)) * np.repeat([0.02, 0.004], 3) * np.sqrt(steps)[:, None])
-    other = [body[0]]
-    for step in walked:
-        other.append(other[-1] @ step)
-    other = np.array(other) @ se3.exp_se3(
-        rng.normal(size=(3000, 6)) * np.repeat([0.01, 0.002], 3))
-    found = identify_noise(stamps(len(body)), body, other, np.ones(len(body) - 1, dtype=bool))
-    assert found.white_translation == pytest.approx(0.01, rel=0.1)
-    assert found.white_rotation == pytest.approx(0.002, rel=0.1)
-    assert found.walk_translation == pytest.approx(0.02, rel=0.3)
-    assert found.walk_rotation == pytest.approx(0.004, rel=0.2)
 
 
 @pytest.mark.parametrize('solver', ['dnl', 'park', 'zhuang'])

@@ -33,7 +33,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import noise_identifier
-from trajectory_calibration.solvers.solution import Linearise, Solution, UNKNOWN
+from trajectory_calibration.solvers.solution import Diagnosis, Linearise, Solution, UNKNOWN
 
 # Poses that are enough to identify noise.
 _ENOUGH = 10_000
@@ -62,11 +62,12 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class MostLikely:
-    """What the data say of the extrinsic: mean (4, 4), its covariance (6, 6), findings of it."""
+    """What the data say of the extrinsic: mean (4, 4), its covariance (6, 6), and of the noise."""
 
     T_a_b: FloatArray
     covariance: FloatArray
     findings: tuple[Finding, ...] = ()
+    diagnosis: Diagnosis | None = None
 
 
 def most_likely(pairs: PosePairs, config: CalibrationConfig) -> MostLikely:
@@ -77,7 +78,7 @@ def most_likely(pairs: PosePairs, config: CalibrationConfig) -> MostLikely:
     motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
     solution = noise_identifier().load()(motions, config)
     return MostLikely(solution.T_a_b, estimate_uncertainty(solution, motions, config).covariance,
-                      solution.findings)
+                      solution.findings, solution.diagnosis)
 
 
 def estimate_uncertainty(

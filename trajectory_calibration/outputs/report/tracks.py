@@ -5,15 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.assessment.variogram import identify_noise, PairNoise, step_lengths
+from trajectory_calibration.assessment.covariance import most_likely
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
@@ -25,6 +27,8 @@ from trajectory_calibration.time_alignment.rotation_increments import longest_st
 _JUMP = 12.0
 # Jumps that are drawn, the largest.
 MOST_JUMPS = 80
+# The least standard deviation of a pose, metres and radians: rounding of files.
+_LEAST_NOISE = 1e-10
 # Poses farther apart than this many usual steps tell no velocity.
 _NEAR = 3.0
 
@@ -39,7 +43,9 @@ class Tracks:
     ``poses_c``, (K, 4, 4), sensor a as b reports it, moved as a whole onto the track of a. (K,):
     ``seconds`` from the first pair, ``path_m`` driven by a until then, ``distance_m`` and
     ``angle_deg`` between the two. Indices of the poses after ``jumps``, (J,), and before
-    ``gaps`` of either sensor, (G,); ``usable``, (K - 1,), are steps without a jump.
+    ``gaps`` of either sensor, (G,); ``usable``, (K - 1,), are steps without a jump. ``noise``,
+    (2, 2), has variances of translation and rotation, of both sensors together and one axis: of a
+    pose, and of what is added in a metre.
     """
 
     pairs: PosePairs
@@ -51,7 +57,7 @@ class Tracks:
     jumps: Indices
     usable: NDArray[np.bool_]
     gaps: Indices
-    noise: PairNoise
+    noise: FloatArray
 
     def __len__(self) -> int:
         return len(self.seconds)
@@ -78,14 +84,16 @@ class Tracks:
         The noise of the first pose reaches the translation through the length of the motion, that
         of the way through a third of its square.
         """
-        counted = np.concatenate([[0.0], np.cumsum(step_lengths(self.pairs.poses_a))])
-        white, walk = (covariance(T_a_b) for covariance in (
-            self.noise.white_covariance, self.noise.walk_covariance))
+        way = _way(self.pairs.poses_b)
+        Ad = se3.adjoint(T_a_b)
+        # Half of it is of each sensor, in its own axes.
+        white, walk = (0.5 * (own + Ad @ own @ Ad.T) for own in (
+            np.diag(np.repeat(variances, 3)) for variances in self.noise))
         far = se3.adjoint(se3.inverse(A))
         near = A.copy()
         near[:, :3, 3] /= np.sqrt(3.0)
         Ad = se3.adjoint(se3.inverse(near))
-        drift = np.abs(counted[j] - counted[i])[:, None, None] * (
+        drift = np.abs(way[j] - way[i])[:, None, None] * (
             Ad @ walk @ np.swapaxes(Ad, 1, 2))
         return white + far @ white @ np.swapaxes(far, 1, 2) + drift
 
@@ -113,11 +121,41 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     return Tracks(
         pairs, poses_c,
         seconds=(pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9,
-        path_m=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p_a, axis=0), axis=1))]),
+        path_m=_way(pairs.poses_a),
         distance_m=np.linalg.norm(p_a - p_c, axis=1),
         angle_deg=np.rad2deg(se3.rotation_angle(apart)),
         jumps=jumps, usable=usable, gaps=_gaps(pairs, a, b),
-        noise=identify_noise(pairs.stamps_ns, pairs.poses_a, poses_c, usable))
+        noise=_noise(result, pairs, poses_c))
+
+
+def _noise(result: CalibrationResult, pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
+    """Return the (2, 2) noise of ``Tracks``, as the solver that identifies it has it."""
+    found = result.diagnosis
+    if found is None:
+        with suppress(MotionError, SolverError):
+            known = most_likely(pairs, result.config).diagnosis
+            found = None if known is None else asdict(known)
+    if found is None:
+        # Too few poses for a model: what the steps differ by.
+        pose = 0.5 * np.mean(_parted(pairs.poses_a, poses_c).reshape(-1, 2, 3)**2, axis=(0, 2))
+        noise = np.array([pose, 0 * pose])
+    else:
+        # Both sensors are as noisy.
+        noise = np.array([[2 * found['white_m']**2, 2 * found['white_rad']**2],
+                          [found['walk_m']**2, found['walk_rad']**2]])
+    return np.maximum(noise, [[_LEAST_NOISE**2], [0.0]])
+
+
+def _parted(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
+    """Return (K - 1, 6), by how much the steps of two differ."""
+    A, C = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (poses_a, poses_c))
+    return se3.log_se3(se3.inverse(A) @ C)
+
+
+def _way(poses: FloatArray) -> FloatArray:
+    """Return (K,) metres driven until each pose."""
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
@@ -183,8 +221,7 @@ def _jumps(
     after = np.clip(np.searchsorted(pairs.stamps_ns, stamps), 1, len(pairs) - 1)
     before = np.maximum(after - 1, 1)
     nearer = np.abs(pairs.stamps_ns[before] - stamps) < np.abs(pairs.stamps_ns[after] - stamps)
-    A, C = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (pairs.poses_a, poses_c))
-    parted = se3.log_se3(se3.inverse(A) @ C)
+    parted = _parted(pairs.poses_a, poses_c)
     found = np.zeros(len(parted), dtype=bool)
     for part in (parted[:, :3], parted[:, 3:]):
         size = np.linalg.norm(part, axis=1)
