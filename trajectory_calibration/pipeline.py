@@ -8,9 +8,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 
+from trajectory_calibration.assessment.answer_checks import check_answer
 from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import (
-    check_answer,
     check_orientations,
     check_pairs,
     parted_steps,

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trajectory_calibration.assessment.independence import one_orientation
+from trajectory_calibration.assessment.answer_checks import two_worlds
 from trajectory_calibration.assessment.metrics import RelativeErrors
 from trajectory_calibration.assessment.offset_steadiness import offset_steadiness
 from trajectory_calibration.assessment.orientation_checks import (
@@ -32,8 +32,6 @@ from trajectory_calibration.assessment.rigid_fit import (
     RigidFit,
     turn_share,
 )
-from trajectory_calibration.assessment.steadiness import unsteady
-from trajectory_calibration.assessment.two_worlds import two_worlds
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.pose_pairs import PosePairs
@@ -132,20 +130,6 @@ def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], so
         f'the rotation that {solver} found does not fit: half of the rotations differ by '
         f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
-
-
-def check_answer(
-    T_a_b: FloatArray, covariance: FloatArray, pairs: PosePairs, frames: tuple[str, str],
-    config: CalibrationConfig,
-) -> tuple[Finding, ...]:
-    """Return what is wrong with an answer although the two move as one body.
-
-    ``pairs`` have the scale of b corrected.
-    """
-    if not config.input_checks:
-        return ()
-    return (*one_orientation(T_a_b, pairs, frames), *two_worlds(T_a_b, pairs, frames),
-            *unsteady(T_a_b, covariance, pairs, frames))
 
 
 def short_drive(pairs: PosePairs, metrics: RelativeErrors) -> tuple[Finding, ...]:

@@ -1,12 +1,17 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the positions and the orientations of a sensor are in one world.
+"""Whether an answer can be meant although the two trajectories move as one body.
 
-An INS that writes its attitude against north-east-down and its position as east-north-up, a yaw
-that counts from another direction than the map does, a magnetic declination: the turns of such
-poses agree with those of the other sensor, and on flat ground the ways do too, with a pose of b
-that is off by the angle between the two worlds. But turns and ways then tell different rotations
-of b in a, and where the ground is not flat both are known.
+**One orientation.** Two sensors never turn alike to the last digit. Where they do and their
+positions differ, one is a smoothed or filtered copy of the other, or both took their orientation
+from one sensor. What their positions differ by then follows the motion, as no noise does, and no
+standard deviation holds.
+
+**Two worlds.** An INS that writes its attitude against north-east-down and its position as
+east-north-up, a yaw that counts from another direction than the map does, a magnetic declination:
+the turns of such poses agree with those of the other sensor, and on flat ground the ways do too,
+with a pose of b that is off by the angle between the two worlds. But turns and ways then tell
+different rotations of b in a, and where the ground is not flat both are known.
 """
 
 from __future__ import annotations
@@ -18,14 +23,23 @@ from trajectory_calibration.assessment.motion_equations import (
     motions_over,
     weights_of,
 )
+from trajectory_calibration.assessment.steadiness import unsteady
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import MotionPairs
+from trajectory_calibration.data.motion_pairs import MotionPairs, select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Seconds of a motion: over shorter ones, filters of a SLAM look like a rotation of some degrees.
+# One orientation: motions, radians of a step that are digits of a file, metres that are none.
+_STEPS, _FEWEST_STEPS, _DIGITS, _APART_M = 2000, 20, 1e-7, 1e-5
+# A steady drift leaves less than this share of what they differ by.
+_NO_DRIFT = 0.3
+# Steps turn by so many times more, or they say nothing.
+_TURNED = 100.0
+
+# Two worlds: seconds of a motion. Over shorter ones, filters of a SLAM look like a rotation.
 _LAG_S, _MOTIONS, _FEWEST = 8.0, 800, 40
 _PARTS, _ROUNDS = 12, 10
 # Radians of a step, and the share of the information below which a direction is not solved for.
@@ -34,6 +48,48 @@ _STEP, _UNSEEN = 0.5, 1e-8
 # sensors turned that both saw: on flat ground, pitch and roll are noise. Over 20 real pairs the
 # two differ by up to 3 deg and, where that is more than 1 deg, 4 standard deviations.
 _APART, _SIGMA, _SHARED = np.deg2rad(5.0), 8.0, 0.5
+
+
+def check_answer(
+    T_a_b: FloatArray, covariance: FloatArray, pairs: PosePairs, frames: tuple[str, str],
+    config: CalibrationConfig,
+) -> tuple[Finding, ...]:
+    """Return what is wrong with an answer although the two move as one body.
+
+    ``pairs`` have the scale of b corrected.
+    """
+    if not config.input_checks:
+        return ()
+    return (*one_orientation(T_a_b, pairs, frames), *two_worlds(T_a_b, pairs, frames),
+            *unsteady(T_a_b, covariance, pairs, frames))
+
+
+def one_orientation(
+    T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str],
+) -> tuple[Finding, ...]:
+    """Return a finding where both sensors have the orientation of one, and other positions.
+
+    ``pairs`` have the scale of b corrected. Jumps and a steady drift are no reason: simulated
+    trajectories have nothing else.
+    """
+    motions = select_motions(pairs, 'B1', _STEPS)
+    if len(motions) < _FEWEST_STEPS:
+        return ()
+    turns, ways = linearised(T_a_b, motions)
+    parted = float(np.median(np.linalg.norm(turns.left, axis=1)))
+    turned = float(np.median(se3.rotation_angle(motions.A[:, :3, :3])))
+    if parted > _DIGITS or turned < _TURNED * _DIGITS:
+        return ()
+    rest, length = ways.left, np.linalg.norm(motions.B[:, :3, 3], axis=1)[:, None]
+    drift = np.median(rest / np.maximum(length, np.finfo(float).tiny), axis=0)
+    apart = float(np.median(np.linalg.norm(rest - drift * length, axis=1)))
+    if apart < max(_APART_M, _NO_DRIFT * float(np.median(np.linalg.norm(rest, axis=1)))):
+        return ()
+    return (Finding(
+        'orientations-identical',
+        f'{frames[0]} and {frames[1]} turn alike to the last digit, but their positions differ: '
+        'one was computed from the other, or both from one IMU? The standard deviations do not '
+        'hold. Give trajectories that were measured apart', {'parted_rad': parted}),)
 
 
 def two_worlds(
