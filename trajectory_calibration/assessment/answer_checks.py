@@ -18,15 +18,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from trajectory_calibration.assessment.motion_equations import (
-    linearised,
-    motions_over,
-    weights_of,
-)
+from trajectory_calibration.assessment.motion_equations import motions_over, Moved, weights_of
 from trajectory_calibration.assessment.steadiness import unsteady
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.motion_pairs import MotionPairs, select_motions
+from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
@@ -75,12 +71,13 @@ def one_orientation(
     motions = select_motions(pairs, 'B1', _STEPS)
     if len(motions) < _FEWEST_STEPS:
         return ()
-    turns, ways = linearised(T_a_b, motions)
-    parted = float(np.median(np.linalg.norm(turns.left, axis=1)))
-    turned = float(np.median(se3.rotation_angle(motions.A[:, :3, :3])))
+    moved = Moved.by(motions.A, motions.B)
+    turn_left, rest = moved.left(T_a_b)
+    parted, turned = (
+        float(np.median(np.linalg.norm(turn, axis=1))) for turn in (turn_left, moved.turn_a))
     if parted > _DIGITS or turned < _TURNED * _DIGITS:
         return ()
-    rest, length = ways.left, np.linalg.norm(motions.B[:, :3, 3], axis=1)[:, None]
+    length = np.linalg.norm(moved.way_b, axis=1)[:, None]
     drift = np.median(rest / np.maximum(length, np.finfo(float).tiny), axis=0)
     apart = float(np.median(np.linalg.norm(rest - drift * length, axis=1)))
     if apart < max(_APART_M, _NO_DRIFT * float(np.median(np.linalg.norm(rest, axis=1)))):
@@ -102,15 +99,16 @@ def two_worlds(
     motions = motions_over(pairs, _LAG_S, fewest=_FEWEST, at_most=_MOTIONS)
     if motions is None:
         return ()
-    of_turns, turn_variance = _rotation(T_a_b, motions, by_way=False)
-    of_ways, way_variance = _rotation(T_a_b, motions, by_way=True)
+    moved = Moved.by(motions.A, motions.B)
+    of_turns, turn_variance = _rotation(T_a_b, moved, by_way=False)
+    of_ways, way_variance = _rotation(T_a_b, moved, by_way=True)
     apart = se3.log_so3((of_turns @ of_ways.T)[None])[0]
     angle = float(np.linalg.norm(apart))
     if angle < _APART:
         return ()
     axis = apart / angle
     std = float(np.sqrt(axis @ (turn_variance + way_variance) @ axis))
-    if angle < _SIGMA * std or _shared_turning(axis, of_turns, motions) < _SHARED:
+    if angle < _SIGMA * std or _shared_turning(axis, of_turns, moved) < _SHARED:
         return ()
     return (Finding(
         'worlds-differ',
@@ -121,18 +119,19 @@ def two_worlds(
 
 
 def _rotation(
-    T_a_b: FloatArray, motions: MotionPairs, *, by_way: bool,
+    T_a_b: FloatArray, moved: Moved, *, by_way: bool,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (3, 3) the rotation that turns alone, or ways alone, tell, and its covariance.
 
     The covariance is the sandwich over parts of the drive.
     """
     T_a_b, scale = T_a_b.copy(), 1.0
-    parts = np.arange(len(motions)) * _PARTS // len(motions)
+    count = len(moved.turn_a)
+    parts = np.arange(count) * _PARTS // count
     covariance = np.zeros((3, 3))
     for _ in range(_ROUNDS):
-        turns, ways = linearised(T_a_b, motions, scale)
-        J, left = ways if by_way else (turns.J[:, :, :3], turns.left)
+        left = moved.left(T_a_b, scale)[by_way]
+        J = moved.slopes(T_a_b, scale)[by_way][:, :, :7 if by_way else 3]
         weighted = weights_of(left)[:, None, None] * J
         H = np.einsum('kij,kil->jl', weighted, J)
         unit = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
@@ -151,10 +150,9 @@ def _rotation(
     return T_a_b[:3, :3], covariance
 
 
-def _shared_turning(axis: FloatArray, R: FloatArray, motions: MotionPairs) -> float:
+def _shared_turning(axis: FloatArray, R: FloatArray, moved: Moved) -> float:
     """Return which share both sensors saw of the turns that tell the rotation about an axis."""
     across_a, across_b = (
-        turns - np.outer(turns @ axis, axis) for turns in (
-            se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3]) @ R.T))
+        turns - np.outer(turns @ axis, axis) for turns in (moved.turn_a, moved.turn_b @ R.T))
     both = float(np.sum(across_a * across_b))
     return 2 * both / max(float(np.sum(across_a**2) + np.sum(across_b**2)), np.finfo(float).tiny)

@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Motions over one lag and their equations, for the checks of an answer.
+"""Motions over one lag and their equations, for the checks of the input and of an answer.
 
-Of turns ``log A = R log B`` and of ways ``v_a + (R_A - I) t = s R v_b``, which jumps hardly move.
+Of turns ``log A = R log B`` and of ways ``v_a + (R_A - I) t = s R v_b``.
 """
 
 from __future__ import annotations
@@ -18,17 +18,42 @@ from trajectory_calibration.geometry.se3 import FloatArray
 
 # Motions that begin within one lag.
 _OVERLAPPING = 4
-# Longer ones, in terms of the usual, reach across gaps; larger turns (radians) flip their axis.
-_LONG, _LARGEST_TURN = 2.5, 2.6
+# Longer ones, in terms of the usual, reach across gaps.
+_LONG = 2.5
+# Larger turns (radians) are left out: half a turn one way is half a turn the other way.
+LARGEST_TURN = 2.6
 # Degrees of freedom of Student's distribution, and the median of chi-squared of three.
 _FREEDOM, _MEDIAN = 4.0, 2.37
 
 
-class Equations(NamedTuple):
-    """(K, 3, 7) derivatives in rotation, translation and log scale; (K, 3) what is left."""
+class Moved(NamedTuple):
+    """(K, 3) turns and ways of a and b, and (K, 3, 3) ``R_A - I``, of K motions."""
 
-    J: FloatArray
-    left: FloatArray
+    turn_a: FloatArray
+    turn_b: FloatArray
+    way_a: FloatArray
+    way_b: FloatArray
+    lever: FloatArray
+
+    @classmethod
+    def by(cls, A: FloatArray, B: FloatArray) -> Moved:
+        """Return them for (K, 4, 4) motions."""
+        R_A = A[:, :3, :3]
+        return cls(se3.log_so3(R_A), se3.log_so3(B[:, :3, :3]), A[:, :3, 3], B[:, :3, 3],
+                   R_A - np.eye(3))
+
+    def left(self, T_a_b: FloatArray, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Return (K, 3) what an extrinsic and a scale of b leave of the turns and of the ways."""
+        R = T_a_b[:3, :3]
+        return (self.turn_a - self.turn_b @ R.T,
+                self.way_a + self.lever @ T_a_b[:3, 3] - scale * self.way_b @ R.T)
+
+    def slopes(self, T_a_b: FloatArray, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Return (K, 3, 7) by how much rotation, translation and log scale lessen what is left."""
+        R = T_a_b[:3, :3]
+        turn_b, way_b = self.turn_b @ R.T, scale * self.way_b @ R.T
+        return (np.concatenate([-se3.skew(turn_b), np.zeros((len(turn_b), 3, 4))], axis=2),
+                np.concatenate([-se3.skew(way_b), -self.lever, way_b[:, :, None]], axis=2))
 
 
 def motions_over(
@@ -42,22 +67,8 @@ def motions_over(
     motions = select_motions(pairs, f'B{lag}', count)
     time_ns = pairs.stamps_ns[motions.j] - pairs.stamps_ns[motions.i]
     turn = np.maximum(*(se3.rotation_angle(poses[:, :3, :3]) for poses in (motions.A, motions.B)))
-    motions = motions.picked((time_ns < _LONG * np.median(time_ns)) & (turn < _LARGEST_TURN))
+    motions = motions.picked((time_ns < _LONG * np.median(time_ns)) & (turn < LARGEST_TURN))
     return None if len(motions) < fewest else motions
-
-
-def linearised(
-    T_a_b: FloatArray, motions: MotionPairs, scale: float = 1.0,
-) -> tuple[Equations, Equations]:
-    """Return the equations of the turns and of the ways about an extrinsic and a scale of b."""
-    A, B, R = motions.A, motions.B, T_a_b[:3, :3]
-    turn_b, way_b = se3.log_so3(B[:, :3, :3]) @ R.T, scale * B[:, :3, 3] @ R.T
-    lever = A[:, :3, :3] - np.eye(3)
-    return (
-        Equations(np.concatenate([-se3.skew(turn_b), np.zeros((len(A), 3, 4))], axis=2),
-                  se3.log_so3(A[:, :3, :3]) - turn_b),
-        Equations(np.concatenate([-se3.skew(way_b), -lever, way_b[:, :, None]], axis=2),
-                  A[:, :3, 3] + lever @ T_a_b[:3, 3] - way_b))
 
 
 def weights_of(left: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from trajectory_calibration.assessment.motion_equations import LARGEST_TURN, Moved
 from trajectory_calibration.data.motion_pairs import lag_grid
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
@@ -34,9 +35,6 @@ _ROUNDS, _ALONE = 8, 2
 
 # Squared metres and radians that are rounding.
 _TINY = 1e-24
-
-# Larger turns (radians) are left out: half a turn one way is half a turn the other way.
-_LARGEST_TURN = 2.6
 
 # One body: the sensors turn apart by less than this share of their turns and move apart by less
 # than this share of their way, over one lag at least.
@@ -113,8 +111,7 @@ def best_fit(
 
 def turn_share(pairs: PosePairs, lag: int, R_a_b: FloatArray) -> float:
     """Return by what share of the turns over a lag a (3, 3) rotation misses them."""
-    A, B = _motions(pairs, lag)
-    return _turn_share(se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3]), R_a_b)
+    return _turn_share(Moved.by(*_motions(pairs, lag)), R_a_b)
 
 
 def growth(found: Sequence[RigidFit], what: str) -> float:
@@ -149,65 +146,54 @@ def _motions(
 
 
 def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | None:
-    turn_a, turn_b = se3.log_so3(A[:, :3, :3]), se3.log_so3(B[:, :3, :3])
-    square = np.maximum(np.sum(turn_a**2, axis=1), np.sum(turn_b**2, axis=1))
-    usable = square < _LARGEST_TURN**2
+    moved = Moved.by(A, B)
+    square = np.maximum(np.sum(moved.turn_a**2, axis=1), np.sum(moved.turn_b**2, axis=1))
+    usable = square < LARGEST_TURN**2
     if usable.sum() < _LEAST_MOTIONS:
         return None
-    A, B, turn_a, turn_b, square = (
-        item[usable] for item in (A, B, turn_a, turn_b, square))
-    v_a, v_b = A[:, :3, 3], B[:, :3, 3]
-    way = np.sum(v_a**2, axis=1)
-    lever = A[:, :3, :3] - np.eye(3)
-    weight_t = np.full(len(A), 1 / max(float(np.mean(square)), _TINY))
-    weight_v = np.full(len(A), 1 / max(float(np.mean(way)), _TINY))
-    R, t, scale = np.eye(3), np.zeros(3), 1.0
+    moved, square = Moved(*(item[usable] for item in moved)), square[usable]
+    way = np.sum(moved.way_a**2, axis=1)
+    weight_t, weight_v = (
+        np.full(len(way), 1 / max(float(np.mean(size)), _TINY)) for size in (square, way))
+    T, scale = np.eye(4), 1.0
     for k in range(_ROUNDS):
         if k < _ALONE:
             # Of turns about one axis the rest of the rotation is open; where both went closes it.
-            R = se3.nearest_rotation(_correlation(turn_a, turn_b, weight_t)
-                                     + _correlation(v_a + lever @ t, v_b, weight_v))
+            T[:3, :3] = se3.nearest_rotation(
+                _correlation(moved.turn_a, moved.turn_b, weight_t)
+                + _correlation(moved.way_a + moved.lever @ T[:3, 3], moved.way_b, weight_v))
         # Then all of it together: in turns, a heading and a lever arm settle each other slowly.
-        moved, turned = v_b @ R.T, turn_b @ R.T
-        J = np.concatenate([scale * se3.skew(moved), lever, -moved[:, :, None]], axis=2)
-        off = v_a + lever @ t - scale * moved
         free = slice(3, 7) if k < _ALONE else slice(0, 7)
-        H, g = _normal(J, off, weight_v / max(float(weight_v @ way), _TINY))
-        H_t, g_t = _normal(
-            se3.skew(turned), turn_a - turned, weight_t / max(float(weight_t @ square), _TINY))
-        H[:3, :3] += H_t
-        g[:3] += g_t
+        H, g = np.zeros((7, 7)), np.zeros(7)
+        for J, left, weight, size in zip(moved.slopes(T, scale), moved.left(T, scale),
+                                         (weight_t, weight_v), (square, way), strict=True):
+            rows = (weight[:, None, None] / max(float(weight @ size), _TINY) * J).reshape(-1, 7)
+            H += rows.T @ J.reshape(-1, 7)
+            g += rows.T @ left.ravel()
         step = np.zeros(7)
-        step[free] = -np.linalg.pinv(H[free, free], rcond=1e-10, hermitian=True) @ g[free]
-        R, t, scale = se3.exp_so3(step[:3]) @ R, t + step[3:6], scale + float(step[6])
-        turn_apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
-        way_apart = np.sum((v_a + lever @ t - scale * v_b @ R.T)**2, axis=1)
-        weight_t = 1 / (turn_apart + np.median(turn_apart) + _TINY)
-        weight_v = 1 / (way_apart + np.median(way_apart) + _TINY)
+        step[free] = np.linalg.pinv(H[free, free], rcond=1e-10, hermitian=True) @ g[free]
+        T[:3, :3] = se3.exp_so3(step[:3]) @ T[:3, :3]
+        T[:3, 3] += step[3:6]
+        scale *= 1 + float(step[6])
+        turn_apart, way_apart = (np.sum(left**2, axis=1) for left in moved.left(T, scale))
+        weight_t, weight_v = (
+            1 / (apart + np.median(apart) + _TINY) for apart in (turn_apart, way_apart))
     if scale <= 0:
         way_apart = way
-    turn = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
+    turn = 0.5 * np.sum(moved.turn_a**2 + moved.turn_b**2, axis=1)
     longer = way >= np.median(way)
     return RigidFit(
         lag, lag_s, float(np.sqrt(np.median(turn))), float(np.sqrt(np.median(turn_apart))),
-        _turn_share(turn_a, turn_b, R), float(np.sqrt(np.median(way_apart))),
+        _turn_share(moved, T[:3, :3]), float(np.sqrt(np.median(way_apart))),
         float(np.sqrt(np.median(way_apart[longer] / (way[longer] + _TINY)))))
 
 
-def _turn_share(turn_a: FloatArray, turn_b: FloatArray, R: FloatArray) -> float:
-    """Return the median, over the quarter of (K, 3) turns that is largest, of what R misses."""
-    turn = 0.5 * np.sum(turn_a**2 + turn_b**2, axis=1)
+def _turn_share(moved: Moved, R: FloatArray) -> float:
+    """Return the median, over the quarter of the turns that is largest, of what R misses."""
+    turn = 0.5 * np.sum(moved.turn_a**2 + moved.turn_b**2, axis=1)
     most = turn >= np.quantile(turn, 0.75)
-    apart = np.sum((turn_a - turn_b @ R.T)**2, axis=1)
+    apart = np.sum((moved.turn_a - moved.turn_b @ R.T)**2, axis=1)
     return float(np.sqrt(np.median(apart[most] / (2 * turn[most] + _TINY))))
-
-
-def _normal(
-    J: FloatArray, residual: FloatArray, weights: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the (n, n) and (n,) normal equations of (K, 3, n) derivatives."""
-    rows = (weights[:, None, None] * J).reshape(-1, J.shape[2])
-    return rows.T @ J.reshape(-1, J.shape[2]), rows.T @ residual.ravel()
 
 
 def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:

@@ -27,11 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajectory_calibration.assessment.motion_equations import (
-    linearised,
-    motions_over,
-    weights_of,
-)
+from trajectory_calibration.assessment.motion_equations import motions_over, Moved, weights_of
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
@@ -107,18 +103,19 @@ def unsteady(
 
 def _information(T_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, FloatArray]:
     """Return (P, 7, 7) information and (P, 7) scores of the parts, about one answer for all."""
-    both = linearised(T_a_b, motions)
-    left = [equations.left for equations in both]
+    moved = Moved.by(motions.A, motions.B)
+    slopes, at_answer = moved.slopes(T_a_b), moved.left(T_a_b)
+    left = list(at_answer)
     parts = np.arange(len(motions)) * _PARTS // len(motions)
     H, g = np.zeros((_PARTS, _UNKNOWNS, _UNKNOWNS)), np.zeros((_PARTS, _UNKNOWNS))
     for _ in range(_ROUNDS):
         H[:], g[:] = 0.0, 0.0
-        for (J, residual), remaining in zip(both, left, strict=True):
+        for J, residual, remaining in zip(slopes, at_answer, left, strict=True):
             weighted = weights_of(remaining)[:, None, None] * J
             np.add.at(H, parts, np.swapaxes(weighted, 1, 2) @ J)
             np.add.at(g, parts, np.einsum('kij,ki->kj', weighted, residual))
         off = _inverse(H.sum(axis=0)) @ g.sum(axis=0)
-        left = [residual - J @ off for J, residual in both]
+        left = [residual - J @ off for J, residual in zip(slopes, at_answer, strict=True)]
     return H, g
 
 
