@@ -191,7 +191,7 @@ def test_names_are_escaped(drive):
         Page(text)
 
 
-@pytest.mark.parametrize('poses', [12, 40])
+@pytest.mark.parametrize('poses', [8, 12, 40])
 def test_a_short_drive_has_a_page(drive, poses):
     _, pair = drive
     a, b = (Trajectory(t.stamps_ns[:poses], t.poses[:poses], sensor_frame=t.sensor_frame)

@@ -23,8 +23,6 @@ Bulletin 2(6), 1946, doi:10.2307/3002019, for the degrees of freedom of a quadra
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from trajectory_calibration.assessment.motion_equations import motions_over, Moved, weights_of
@@ -57,13 +55,6 @@ _COURSES = np.vstack([_CUTS[:, None] <= _PART, (_PART + 0.5) / _PARTS])
 _KERNEL = np.maximum(1 - np.abs(_PART[:, None] - _PART) / _CORRELATED, 0.0)
 
 
-class _Change(NamedTuple):
-    """(7,) change by one course, and its ``|t|`` in terms of the limit."""
-
-    size: FloatArray
-    excess: FloatArray
-
-
 def unsteady(
     T_a_b: FloatArray, covariance: FloatArray, pairs: PosePairs, frames: tuple[str, str],
 ) -> tuple[Finding, ...]:
@@ -94,7 +85,7 @@ def unsteady(
     first = len(motions) * (_CUTS[found] if found < len(_CUTS) else _PARTS // 2) // _PARTS
     since_s = float(pairs.stamps_ns[motions.i[first]] - pairs.stamps_ns[0]) * 1e-9
     what = (f'the first {since_s:.0f} s and the rest of the drive differ by {by}'
-            if found < len(_CUTS) else f'the extrinsic changes steadily, by {by} over the drive')
+            if found < len(_CUTS) else f'the answer changes steadily, by {by} over the drive')
     return (Finding(
         'extrinsic-unsteady', f'{what}: {question}? Calibrate the parts separately',
         {'at_s': since_s, 'turned_deg': float(np.rad2deg(turned)), 'moved_m': moved,
@@ -119,8 +110,10 @@ def _information(T_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, F
     return H, g
 
 
-def _change(H: FloatArray, g: FloatArray, course: FloatArray) -> _Change:
-    """Return the change by a (P,) course, from the information and the scores of the parts."""
+def _change(
+    H: FloatArray, g: FloatArray, course: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the (7,) change by a (P,) course, and its ``|t|`` in terms of the limit."""
     unit = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit
     # What holds at the beginning, and the change.
@@ -143,7 +136,7 @@ def _change(H: FloatArray, g: FloatArray, course: FloatArray) -> _Change:
     std = np.sqrt(np.maximum(scatter * np.diag(P)[_UNKNOWNS:], tiny))
     probability = chi_squared.FALSE_ALARM / (len(_COURSES) * _UNKNOWNS)
     limit = [chi_squared.student_quantile(max(1, int(n)), probability) for n in freedom]
-    return _Change(solved[1] / unit, np.abs(solved[1]) / std / limit)
+    return solved[1] / unit, np.abs(solved[1]) / std / limit
 
 
 def _inverse(H: FloatArray) -> FloatArray:
