@@ -28,6 +28,7 @@ from trajectory_calibration.config.settings import Option
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, rounded
+from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.solvers import load_solver
 
 
@@ -316,7 +317,7 @@ def test_other_files_are_not_results(tmp_path, text, message):
 
 @pytest.mark.parametrize('key, value', [
     ('format_version', 99), ('T_a_b', None), ('T_a_b', {'translation': [0, 0], 'rotation_xyzw': [
-        0, 0, 0, 1]}), ('config', {'solver': 'x'}), ('config', ''), ('inlier_motions', 'a-b'),
+        0, 0, 0, 1]}), ('config', {'max_gap': 'x'}), ('config', ''), ('inlier_motions', 'a-b'),
     ('poses', 'many'), ('poses', float('inf')), ('poses', True), ('motions', 10**15),
     ('motions', float('inf')),
     ('motions', -1), ('findings', 'abc'), ('findings', [5]), ('diagnosis', 5),
@@ -406,6 +407,24 @@ def test_findings_of_the_motion_survive_and_older_files_are_read_without(result,
     older['warnings'] = 'abc'
     with pytest.raises(ResultError, match="found 'abc', needed a value of type list"):
         CalibrationResult.from_dict(older)
+
+
+def test_a_result_of_settings_that_are_not_here_is_read_and_not_repeated(result):
+    data = result.to_dict()
+    data['config'] |= {'solver': 'acme', 'dnlo_method': 'annealing', 'old_setting': 3}
+    read = CalibrationResult.from_dict(data)
+    assert (read.config.solver, read.config.dnlo_method) == ('acme', 'annealing')
+    assert read.to_dict()['config'] == data['config']
+    assert 'acme' in Placement.of(read).origin
+    with pytest.raises(ConfigError, match="setting 'old_setting' is unknown"):
+        CalibrationConfig.from_dict(read.config.to_dict())
+    del data['config']['old_setting'], data['config']['dnlo_method']
+    with pytest.raises(ConfigError, match="solver 'acme' is unknown"):
+        CalibrationConfig.from_dict(CalibrationResult.from_dict(data).config.to_dict())
+    for wrong in ({'max_gap': 'x'}, {'max_gap': -1.0}, {'solver': []}, {
+            'prior_translation': 'x'}):
+        with pytest.raises(ResultError, match='not a calibration result'):
+            CalibrationResult.from_dict({**data, 'config': {**data['config'], **wrong}})
 
 
 def test_missing_file(tmp_path):

@@ -360,7 +360,7 @@ def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
 _READ: dict[str, Callable[[Any], Any]] = {
     'frame_a': str, 'frame_b': str, 'covariance': _or_none(_covariance), 'poses': _count,
     'motions': _count, 'association': _association,
-    'config': lambda value: CalibrationConfig.from_dict(_of_kind(dict, value)),
+    'config': lambda value: CalibrationConfig.from_saved(_of_kind(dict, value)),
     'scale': _number, 'time_offset_s': _number, 'clock_drift': _number,
     'clock_drift_from_ns': int, 'diagnosis': _or_none(partial(_of_kind, dict)),
     'reference': str, 'reference_choice': _or_none(partial(_of_kind, str)),

@@ -13,6 +13,7 @@ import pytest
 from trajectory_calibration import Trajectory
 from trajectory_calibration.geometry.se3 import exp_so3, from_rotation_translation
 from trajectory_calibration.outputs.inspection import inspect_trajectory
+from trajectory_calibration.sources.files import read_bytes
 
 
 def test_a_file(tmp_path, capsys):
@@ -27,6 +28,20 @@ def test_a_file(tmp_path, capsys):
     assert words['poses'] == '80, 10.00 Hz, no gaps'
     assert words['time'] == '7.900 s from 1700000000.000'
     assert words['motion'].startswith('sufficient: ')
+
+
+def test_a_file_is_read_once(tmp_path, monkeypatch, capsys):
+    reads = []
+
+    def counted(path):
+        reads.append(path)
+        return read_bytes(path)
+
+    monkeypatch.setattr('trajectory_calibration.sources.files.read_bytes', counted)
+    a = write_pair(tmp_path)[0]
+    status, out, _ = run(capsys, 'inspect', a, '--format', 'json')
+    assert (status, reads) == (0, [Path(a)])
+    assert 'xyzw' in json.loads(out)['inputs'][0]['trajectories'][0]['read_as']
 
 
 def test_the_order_of_the_quaternion_is_said_and_asked_about(tmp_path, capsys):

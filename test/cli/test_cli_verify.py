@@ -116,3 +116,22 @@ def test_what_cannot_be_read_is_an_error(saved, tmp_path, capsys):
     assert run(capsys, 'verify', tmp_path / 'none.yaml', a, b)[0] == 1
     assert run(capsys, 'verify', saved, a, tmp_path / 'none.tum')[0] == 1
     assert run(capsys, 'verify', saved, a, a)[0] == 2
+
+
+def test_settings_that_are_not_here_keep_nobody_from_what_needs_only_the_pose(
+        saved, tmp_path, capsys):
+    text = saved.read_text(encoding='utf-8').replace('  solver: dnl\n', '  solver: acme\n')
+    assert 'solver: acme' in text
+    other = tmp_path / 'other.yaml'
+    other.write_text(text, encoding='utf-8')
+    made_of = [saved.parent / 'a1.tum', saved.parent / 'b1.tum']
+    later = write_noisy(tmp_path, 2)
+    assert run(capsys, 'export', other, '--as', 'urdf')[0] == 0
+    assert run(capsys, 'report', other, *made_of)[0] == 0
+    run(capsys, 'calibrate', *later, '--frame-a', 'lidar', '--frame-b', 'camera', '--solver',
+        'dnl', '--output', tmp_path / 'later')
+    assert run(capsys, 'compare', other, tmp_path / 'later' / 'result.yaml')[0] == 0
+    status, _, err = run(capsys, 'verify', other, *later)
+    assert (status, err[:36]) == (2, f'error: settings of {other}'[:36])
+    assert "solver 'acme' is unknown" in err
+    assert run(capsys, 'verify', other, *later, '--solver', 'dnl')[0] == 0

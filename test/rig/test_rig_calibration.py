@@ -336,8 +336,11 @@ def test_a_solver_that_states_no_covariance_makes_no_rig(names, monkeypatch):
 
 def test_a_free_scale_needs_a_solver_that_finds_it():
     free, park = {'b': SensorSettings(scale='free')}, CalibrationConfig(solver='park')
-    with pytest.raises(ConfigError, match='sensor b has scale free, which solver park cannot'):
-        RigConfig(sensors=free, calibration=park)
+    trajectories = simulate_rig(vehicle('abc', duration=5.0), 0).trajectories
+    for names in ('ab', 'abc'):
+        with pytest.raises(ConfigError, match='sensor b has scale free, which solver park cannot'):
+            calibrate_rig({name: trajectories[name] for name in names}, RigConfig(
+                sensors=free, calibration=park, processes=1))
     config = RigConfig(sensors=free, calibration=CalibrationConfig(scale=2.0))
     assert config.scale_of('b') == {'scale_mode': 'estimate', 'scale': 1.0}
     assert config.scale_of('a') == {}
@@ -353,6 +356,8 @@ def test_a_free_scale_needs_a_solver_that_finds_it():
     ({'calibration': {'prior_translation': '1,2,3', 'prior_translation_std': '1'}},
      'a rig has a prior for each sensor'),
     ({'pairs': 'some'}, "pairs is 'some'"),
+    ({'sensors': {'b': {'scale': 'free'}}, 'calibration': {'solver': 'park'}},
+     'sensor b has scale free, which solver park cannot find; use solver drift_aware'),
     ({'processes': -1}, 'processes is -1'),
 ])
 def test_wrong_settings_are_errors(values, message):

@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.simulated_rig import RigScenario, simulate_rig
 from trajectory_calibration.cli.main import main
-from trajectory_calibration.errors import ResultError
+from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import RigConfig, RigResult
 from trajectory_calibration.rig.comparison import compare_rigs
@@ -131,6 +131,16 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert float(row['dx_m']) == pytest.approx(-0.1, abs=1e-9)
     found, = json.loads((table / 'table.json').read_text())
     assert (found['moved'], found['holds'], found['same_recording']) == (['b'], False, False)
+
+
+def test_a_rig_of_settings_that_are_not_here_is_read(mounts):
+    data = rig(*mounts).to_dict()
+    data['config'] |= {'old': 1, 'sensors': {'b': {'scale': 'free', 'old': 2}}}
+    data['config']['calibration'] |= {'solver': 'acme', 'old': 3}
+    config = RigResult.from_dict(data).config
+    assert (config.calibration.solver, config.of('b').scale) == ('acme', 'free')
+    with pytest.raises(ConfigError, match="solver 'acme' is unknown"):
+        config.scale_of('b')
 
 
 def test_several_rigs_are_one_table_with_names_that_tell_them_apart(

@@ -17,8 +17,8 @@ from trajectory_calibration.errors import ConfigError, SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.sources.files import FileSource, is_bag
-from trajectory_calibration.sources.inputs import InputOptions, load_inputs
+from trajectory_calibration.sources.files import is_bag
+from trajectory_calibration.sources.inputs import InputOptions, load_file
 from trajectory_calibration.sources.transforms import TF_PREFIX
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Sour
 
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with running_clock('reading'):
-        trajectory, = load_inputs({path.name: (str(path), options)}).values()
-        read_as = FileSource(path, **options.of_files()).describe()
+        trajectory, read_as = load_file(str(path), path.name, options)
     found = inspect_trajectory(trajectory, str(path), 'file')
     # The path stands above the findings, and no format of files names its frames.
     for one in found['findings']:

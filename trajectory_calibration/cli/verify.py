@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 import json
 from pathlib import Path
 
@@ -67,4 +66,8 @@ def _config(saved: CalibrationConfig, arguments: argparse.Namespace) -> Calibrat
     """Return the settings of the saved result, changed by what was given."""
     if arguments.config is not None:
         return config_from_arguments(arguments)
-    return replace(saved, **given_options(arguments))
+    try:
+        return CalibrationConfig.from_dict({**saved.to_dict(), **given_options(arguments)})
+    except ConfigError as error:
+        raise ConfigError(f'settings of {arguments.result} with the options: {error}. Others can '
+                          'be given with --config FILE') from error

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from math import inf
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, ClassVar
 
 from trajectory_calibration.config.prior import parse_prior, Prior
 from trajectory_calibration.data.motion_pairs import normal_reference, REFERENCE_HELP
@@ -159,6 +159,9 @@ class CalibrationConfig:
         5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
         'degrees', 0.0, 180.0)
 
+    # Settings of a saved result that this version does not have.
+    _unknown: ClassVar[Mapping[str, Any]] = {}
+
     input_checks: bool = _option(
         default=True, text='refuse trajectories that cannot be of one vehicle: inverted poses, '
         'another order of quaternions, two vehicles, no orientation')
@@ -211,6 +214,26 @@ class CalibrationConfig:
                 raise ConfigError(f'setting {name!r} is unknown; known are {", ".join(known)}')
         return cls(**values)
 
+    @classmethod
+    def from_saved(cls, values: Mapping[str, Any]) -> CalibrationConfig:
+        """Rebuild the configuration of a saved result, which other packages may have had part in.
+
+        A setting, a solver or a word that is not known here is kept as it was, and refused by
+        ``from_dict(config.to_dict())``: where it is to calibrate once more. Raises ConfigError
+        for numbers and texts that no setting can be.
+        """
+        config = cls()
+        options = {option.name: option for option in cls.options()}
+        for name, value in values.items():
+            option = options.get(name)
+            if option is not None:
+                is_word = bool(option.choices) and isinstance(value, str)
+                object.__setattr__(config, name, value if is_word else option.check(value))
+        object.__setattr__(config, '_unknown', {
+            name: value for name, value in values.items() if name not in options})
+        _ = config.prior
+        return config
+
     def to_dict(self) -> dict[str, Any]:
         """Return names and values, ready for YAML or JSON."""
-        return asdict(self)
+        return {**asdict(self), **self._unknown}

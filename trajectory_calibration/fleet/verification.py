@@ -178,8 +178,8 @@ def verify(
     if result.recording == recording_of(trajectory_a, trajectory_b):
         return cannot_tell('another recording: the saved result was made of this one')
     config = replace(
-        config or result.config, prior_translation='', prior_translation_std='',
-        prior_rotation='', prior_rotation_std='', allow_unobserved=True)
+        config or CalibrationConfig.from_dict(result.config.to_dict()), allow_unobserved=True,
+        prior_translation='', prior_translation_std='', prior_rotation='', prior_rotation_std='')
     try:
         found = calibrate(trajectory_a, trajectory_b, config)
     except (AssociationError, MotionError, SolverError) as error:

@@ -259,7 +259,7 @@ class RigResult:
                 chi_squared=float(data['chi_squared']),
                 degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
                 findings=tuple(map(Finding.from_dict, data['findings'])),
-                config=RigConfig.from_dict(data['config']),
+                config=RigConfig.from_saved(data['config']),
                 recordings=tuple(map(str, data.get('recordings', ()))),
                 version=str(data['package_version']))
         except (AttributeError, KeyError, TypeError, ValueError) as error:

@@ -110,17 +110,18 @@ class RigConfig:
             raise ConfigError('a rig has a prior for each sensor, not one for all; write '
                               'prior_translation and the others below the sensor')
 
-        for name, sensor in self.sensors.items():
-            if sensor.scale == 'free' and 'scale' not in (
-                    solver_info(self.calibration.solver).estimates):
-                raise ConfigError(
-                    f'sensor {name} has scale free, which solver {self.calibration.solver} cannot '
-                    f'find; use solver {" or ".join(solvers_that_estimate("scale"))}')
-
     def scale_of(self, child: str) -> dict[str, Any]:
-        """Return what the scale of a sensor changes in ``calibration`` where it is the child."""
-        free = self.of(child).scale == 'free'
-        return {'scale_mode': 'estimate', 'scale': 1.0} if free else {}
+        """Return what the scale of a sensor changes in ``calibration`` where it is the child.
+
+        Raises ConfigError for a scale that is free and a solver that does not find it.
+        """
+        if self.of(child).scale != 'free':
+            return {}
+        if 'scale' not in solver_info(self.calibration.solver).estimates:
+            raise ConfigError(
+                f'sensor {child} has scale free, which solver {self.calibration.solver} cannot '
+                f'find; use solver {" or ".join(solvers_that_estimate("scale"))}')
+        return {'scale_mode': 'estimate', 'scale': 1.0}
 
     def of(self, name: str) -> SensorSettings:
         """Return the settings of one sensor."""
@@ -128,7 +129,7 @@ class RigConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return names and values, ready for YAML or JSON."""
-        return asdict(self)
+        return {**asdict(self), 'calibration': self.calibration.to_dict()}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RigConfig:
@@ -141,7 +142,24 @@ class RigConfig:
         if 'calibration' in given:
             given['calibration'] = CalibrationConfig.from_dict(
                 _lines(given['calibration'] or {}, 'calibration'))
-        return cls(**given)
+        config = cls(**given)
+        # Before any data is read.
+        for name in config.sensors:
+            config.scale_of(name)
+        return config
+
+    @classmethod
+    def from_saved(cls, values: Mapping[str, Any]) -> RigConfig:
+        """Rebuild the configuration of a saved rig; see ``CalibrationConfig.from_saved``."""
+        known, of_sensor = ({item.name for item in fields(kind)} for kind in (cls, SensorSettings))
+        return cls(**{
+            **{name: value for name, value in values.items() if name in known},
+            'sensors': {
+                str(name): SensorSettings(**{key: value for key, value in _lines(
+                    given, f'sensor {name}').items() if key in of_sensor})
+                for name, given in _lines(values['sensors'], 'sensors').items()},
+            'calibration': CalibrationConfig.from_saved(
+                _lines(values['calibration'], 'calibration'))})
 
 
 def require_known(values: Iterable[str], known: Sequence[str], where: str) -> None:

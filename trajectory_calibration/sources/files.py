@@ -94,6 +94,10 @@ class FileSource:
             The file cannot be read, is empty, or its layout is unknown or ambiguous.
 
         """
+        return self.load_described()[0]
+
+    def load_described(self) -> tuple[Trajectory, str]:
+        """Return what ``load`` does, and how the file was read: its columns, or its format."""
         for name, choices in (('file_format', FORMATS), ('quaternion_order', QUATERNION_ORDERS),
                               ('time_unit', tuple(TIME_UNITS))):
             if getattr(self, name) not in (None, *choices):
@@ -111,17 +115,13 @@ class FileSource:
         frames = self.world_frame, self.sensor_frame
         findings = tuple(replace(item, text=f'{name}: {item.text}') for item in raw.findings)
         try:
-            if poses.ndim == 3:
-                return Trajectory(stamps_ns, poses, *frames, findings)
-            return Trajectory.from_quaternions(
-                stamps_ns, poses[:, :3], poses[:, 3:], *frames, findings)
+            trajectory = (
+                Trajectory(stamps_ns, poses, *frames, findings) if poses.ndim == 3 else
+                Trajectory.from_quaternions(
+                    stamps_ns, poses[:, :3], poses[:, 3:], *frames, findings))
         except TrajectoryError as error:
             raise SourceError(f'{name}: {error}') from error
-
-    def describe(self) -> str:
-        """Return how the file is read: its columns, or its format."""
-        raw = self._read()
-        return raw.layout or raw.kind
+        return trajectory, raw.layout or raw.kind
 
     def _read(self) -> RawPoses:
         """Return what the file holds."""

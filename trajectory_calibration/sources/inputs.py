@@ -44,6 +44,11 @@ class InputOptions:
     quaternion_order: str | None = None
     time_unit: str | None = None
 
+    def inverted(self, trajectory: Trajectory) -> Trajectory:
+        """Return the poses of the sensor in the world, whichever of both was read."""
+        return (replace(trajectory, poses=se3.inverse(trajectory.poses)) if self.invert
+                else trajectory)
+
     def of_files(self) -> dict[str, Any]:
         """Return the settings that are given and mean nothing but for a file."""
         return {name: value for name, value in vars(self).items()
@@ -71,8 +76,6 @@ def load_inputs(
         if name in from_bags and given:
             raise ConfigError(f'{", ".join(given)} is for files; {name} is read from a bag, whose '
                               'messages carry their format and time')
-        if names_frames(name) and not bags:
-            raise ConfigError(f'{name} names frames of a bag; give the bag with --bag')
     tracks = {}
     if from_bags:
         # What bags need loads where a bag is read, and only there.
@@ -82,12 +85,22 @@ def load_inputs(
                 [name for name, _ in inputs.values() if name in from_bags], progress)
     result = {}
     for sensor, (name, options) in inputs.items():
-        trajectory = (
-            tracks[name].to_trajectory(options.frame) if name in from_bags else
-            FileSource(name, sensor_frame=options.frame or sensor, **options.of_files()).load())
-        result[sensor] = (replace(trajectory, poses=se3.inverse(trajectory.poses))
-                          if options.invert else trajectory)
+        result[sensor] = (
+            options.inverted(tracks[name].to_trajectory(options.frame)) if name in from_bags else
+            load_file(name, sensor, options)[0])
     return result
+
+
+def load_file(name: str, sensor: str, options: InputOptions) -> tuple[Trajectory, str]:
+    """Return the trajectory of a file, and how it was read: its columns, or its format.
+
+    Raises as ``load_inputs``.
+    """
+    if names_frames(name):
+        raise ConfigError(f'{name} names frames of a bag; give the bag with --bag')
+    trajectory, read_as = FileSource(
+        name, sensor_frame=options.frame or sensor, **options.of_files()).load_described()
+    return options.inverted(trajectory), read_as
 
 
 def _require_different(names: Sequence[str], *, topics: bool) -> None:
