@@ -28,17 +28,18 @@ def kitti(data, sequence):
     return drive.a, drive.b, drive.T_a_b_file
 
 
-def simulations(data, every=1):
+def simulations(data, every=1, cases=None):
     """Yield kind, level (None for the mixture), run, trajectories a and b, truth.
 
-    Of one run in ``every``, the same ones of each kind and level.
+    Of one run in ``every``, the same ones of each kind and level; of these ``cases``, pairs of
+    kind and level, or of all.
     """
     items = published.simulation_runs(data)
     kept = set(sorted({item.run for item in items})[::every])
     for item in items:
-        if item.run not in kept:
-            continue
-        yield item.kind, _level(item.kind, item.level), item.run, *item.load()
+        case = item.kind, _level(item.kind, item.level)
+        if item.run in kept and (cases is None or case in cases):
+            yield *case, item.run, *item.load()
 
 
 def kitti_figures(data):

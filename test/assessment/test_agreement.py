@@ -34,6 +34,9 @@ from trajectory_calibration.simulation import (
 from trajectory_calibration.time_alignment.clock_offset import Clock
 from trajectory_calibration.time_alignment.pairing import associate
 
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = pytest.mark.once
+
 DRIVE = replace(SCENARIOS['offroad'], duration=60.0)
 
 
@@ -58,7 +61,6 @@ def w_first(trajectory):
     return replace(trajectory, poses=poses)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize('name', ['offroad', 'drone', 'handheld'])
 @pytest.mark.parametrize(('mistake', 'option'), [
     (inverted, '--invert{}'), (w_first, '--quaternion-order{} wxyz')])

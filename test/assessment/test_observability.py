@@ -42,7 +42,7 @@ def calibrated(scenario, seed, **settings):
 
 
 @pytest.mark.statistical
-@thinned('seeds', 20, 100)
+@thinned('seeds', 8, 100)
 @pytest.mark.parametrize('noise', [SMALL, WALK, JUMPS], ids=['white', 'walk', 'jumps'])
 def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
     scenario = with_noise(FLAT, noise, noise)
@@ -63,7 +63,7 @@ def test_flat_ground_is_flagged_whoever_solves(solver):
 
 
 @pytest.mark.statistical
-@thinned('share', 5, 1)
+@thinned('share', 10, 1)
 @pytest.mark.parametrize(('scenario', 'seeds', 'solver'), [
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 40, 'dnl'),
     (with_noise(Scenario(30.0, Wander()), MILD, MILD), 10, 'park'),

@@ -27,7 +27,8 @@ from trajectory_calibration.simulation import (
     with_noise,
 )
 
-pytestmark = pytest.mark.usefixtures('noise_identified_once')
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = [pytest.mark.once, pytest.mark.usefixtures('noise_identified_once')]
 FLAT = Scenario(motion=Unicycle(ground=flat))
 NOISY_FLAT = with_noise(FLAT, *[Noise(white=0.002, white_rotation=0.001)] * 2)
 

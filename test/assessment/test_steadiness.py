@@ -57,9 +57,10 @@ def test_what_changes_on_the_way_is_named(change, words):
             change.get('turn_deg', 0.0), abs=0.3)
 
 
+@thinned('seeds', 1, 3)
 @pytest.mark.parametrize('scenario', ['offroad', 'road', 'drone', 'handheld'])
-def test_sound_drives_have_no_such_finding(scenario):
-    for seed in range(3):
+def test_sound_drives_have_no_such_finding(scenario, seeds):
+    for seed in range(seeds):
         run = simulate(SCENARIOS[scenario], seed)
         assert not found(run.a, run.b, 'extrinsic-unsteady')
         assert not found(run.a, run.b, 'orientations-identical')

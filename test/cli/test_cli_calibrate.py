@@ -360,7 +360,7 @@ def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
     ('- 1', 'holds no settings; needed lines such as'),
     ('a: [', 'cannot be read as settings: while parsing a flow node'),
     ('a: 2023-13-45', 'cannot be read as settings: '),
-    ('[' * 5000, 'cannot be read as settings: it is nested too deeply'),
+    ('[' * 1000, 'cannot be read as settings: it is nested too deeply'),
 ])
 def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     settings = tmp_path / 'settings.yaml'

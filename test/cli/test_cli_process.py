@@ -21,6 +21,8 @@ from trajectory_calibration.cli.main import main
 from trajectory_calibration.errors import SolverError
 
 COMMAND = (sys.executable, '-m', 'trajectory_calibration')
+# Pipes, signals and terminals are those of Python, whatever it has loaded.
+OF_PIPES = pytest.mark.once
 
 
 def test_module_runs_as_a_process(tmp_path):
@@ -51,6 +53,7 @@ def interruptible():
     signal.signal(signal.SIGINT, before)
 
 
+@OF_PIPES
 @pytest.mark.usefixtures('interruptible')
 def test_interrupt_is_quiet(tmp_path):
     fifo = tmp_path / 'a.txt'
@@ -65,6 +68,7 @@ def test_interrupt_is_quiet(tmp_path):
         assert (process.returncode, out, err) == (130, b'', b'')
 
 
+@OF_PIPES
 def test_a_reader_that_leaves_is_no_error(tmp_path):
     a, _, _ = write_pair(tmp_path)
     with subprocess.Popen(
@@ -81,6 +85,7 @@ def _shell(command, **environment):
         env={**os.environ, **environment}, capture_output=True, check=False, timeout=60)
 
 
+@OF_PIPES
 @pytest.mark.skipif(not Path('/dev/full').exists(), reason='no /dev/full on this system')
 @pytest.mark.parametrize('command', ['inspect {a}', '--help', 'calibrate {a} {b} --solver park'])
 def test_a_full_disk_is_one_line(tmp_path, command):
@@ -92,6 +97,7 @@ def test_a_full_disk_is_one_line(tmp_path, command):
         b'write elsewhere\n')
 
 
+@OF_PIPES
 @pytest.mark.parametrize('command', ['inspect {a}', '--version', '--help'])
 def test_a_closed_output_is_no_error(tmp_path, command):
     a, _, _ = write_pair(tmp_path)
@@ -100,6 +106,7 @@ def test_a_closed_output_is_no_error(tmp_path, command):
     assert b'Traceback' not in done.stderr
 
 
+@OF_PIPES
 def test_a_closed_output_leaves_the_errors(tmp_path):
     done = _shell(f'$CLI inspect {tmp_path}/none >&-')
     assert (done.returncode, done.stderr.count(b'\n')) == (1, 1)
@@ -112,6 +119,7 @@ def test_a_path_that_the_system_refuses_is_one_line(capsys):
     assert err == f'error: {"x" * 5000}: File name too long\n'
 
 
+@OF_PIPES
 @pytest.mark.parametrize('command', [
     'calibrate {a} {b} --solver park --frame-a ä', 'fleet --help', '--help'])
 def test_characters_that_the_terminal_lacks_are_escaped(tmp_path, command):

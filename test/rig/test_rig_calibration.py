@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from thinning import thinned
 
 from benchmarks.simulated_rig import Fault, rig_scenario, RigScenario, simulate_rig
 from trajectory_calibration import calibrate, CalibrationConfig, CalibrationError, ConfigError
@@ -199,8 +200,9 @@ def test_a_contradicting_sensor_is_left_out_on_request(moved):
     assert rig.covariance.shape == (12, 12)
 
 
-def test_mounts_that_stay_are_not_named():
-    for seed in range(3):
+@thinned('seeds', 1, 3)
+def test_mounts_that_stay_are_not_named(seeds):
+    for seed in range(seeds):
         run = simulate_rig(vehicle(duration=30.0), seed)
         assert not calibrate_rig(run.trajectories).contradictions
 

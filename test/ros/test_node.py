@@ -4,8 +4,10 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -52,16 +54,22 @@ def test_default_settings_calibrate_too(tmp_path):
     assert np.allclose(ros.matrix(extrinsic[0]), ros.T_A_B, atol=1e-6)
 
 
-def test_a_late_joiner_gets_the_latched_extrinsic(tmp_path):
-    with ros.running(tmp_path, *TAYLOR) as (_, client):
+@pytest.fixture(scope='module')
+def calibrated(tmp_path_factory):
+    """Yield a client of a node that has calibrated; what that publishes stays as it is."""
+    with ros.running(tmp_path_factory.mktemp('node'), *TAYLOR) as (_, client):
         client.publish_drive(*ros.drive())
         assert client.call('calibrate').success
-        late = client.latched()
-        client.wait(lambda: late, 'the latched extrinsic')
+        yield client
+
+
+def test_a_late_joiner_gets_the_latched_extrinsic(calibrated):
+    late = calibrated.latched()
+    calibrated.wait(lambda: late, 'the latched extrinsic')
     assert np.allclose(ros.matrix(late[0]), ros.T_A_B, atol=1e-10)
 
 
-def test_what_ros2_topic_echo_gets_of_the_latched_extrinsic(tmp_path):
+def test_what_ros2_topic_echo_gets_of_the_latched_extrinsic(calibrated):
     """Without an option `ros2 topic echo` takes the publisher's QoS, with one best effort."""
     plain = ros.QoSProfile(
         depth=1, reliability=ros.ReliabilityPolicy.RELIABLE,
@@ -69,20 +77,34 @@ def test_what_ros2_topic_echo_gets_of_the_latched_extrinsic(tmp_path):
     best_effort = ros.QoSProfile(
         depth=1, reliability=ros.ReliabilityPolicy.BEST_EFFORT,
         durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
-    with ros.running(tmp_path, *TAYLOR) as (_, client):
-        client.publish_drive(*ros.drive())
-        assert client.call('calibrate').success
-        before = client.latched(qos=best_effort)
-        late = client.latched(qos=plain)
-        client.wait(lambda: late, 'the latched extrinsic')
-        # Fast DDS repeats what it keeps for reliable readers only. One that is there in time
-        # gets the next answer.
-        client.meet()
-        client.spin(1.0)
-        assert not before
-        assert client.call('calibrate').success
-        client.wait(lambda: before and len(late) == 2, 'the next extrinsic')
+    before = calibrated.latched(qos=best_effort)
+    late = calibrated.latched(qos=plain)
+    calibrated.wait(lambda: late, 'the latched extrinsic')
+    # Fast DDS repeats what it keeps for reliable readers only. One that is there in time
+    # gets the next answer.
+    calibrated.meet()
+    calibrated.spin(1.0)
+    assert not before
+    assert calibrated.call('calibrate').success
+    calibrated.wait(lambda: before and len(late) == 2, 'the next extrinsic')
     assert np.allclose(ros.matrix(late[0]), ros.T_A_B, atol=1e-10)
+
+
+def test_the_tracks_lie_over_each_other(calibrated):
+    _, poses_a, _ = ros.drive()
+    path_a = calibrated.latched('trajectory_calibration/path_a', ros.TYPES['Path'])
+    path_b = calibrated.latched('trajectory_calibration/path_b', ros.TYPES['Path'])
+    markers = calibrated.latched('trajectory_calibration/markers', ros.MarkerArray)
+    calibrated.wait(lambda: path_a and path_b and markers, 'the tracks')
+    positions_a, positions_b = (
+        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z]
+                  for p in path[0].poses]) for path in (path_a, path_b))
+    assert path_a[0].header.frame_id == path_b[0].header.frame_id == 'map'
+    assert np.allclose(positions_a, poses_a[:, :3, 3], atol=1e-12)
+    assert np.allclose(positions_b, positions_a, atol=1e-9)
+    lines, text = markers[0].markers
+    assert len(lines.points) == 200
+    assert text.text == 'lidar -> camera: tracks 0.000 m apart (rms)'
 
 
 ABSENT = """
@@ -635,26 +657,6 @@ def test_a_result_of_other_frames_is_not_restored(tmp_path, given, restored):
         assert said.level == b'\x01' and sentence in said.message
 
 
-def test_the_tracks_lie_over_each_other(tmp_path):
-    with ros.running(tmp_path, *TAYLOR) as (_, client):
-        stamps_ns, poses_a, poses_b = ros.drive()
-        client.publish_drive(stamps_ns, poses_a, poses_b)
-        path_a = client.latched('trajectory_calibration/path_a', ros.TYPES['Path'])
-        path_b = client.latched('trajectory_calibration/path_b', ros.TYPES['Path'])
-        markers = client.latched('trajectory_calibration/markers', ros.MarkerArray)
-        assert client.call('calibrate').success
-        client.wait(lambda: path_a and path_b and markers, 'the tracks')
-    positions_a, positions_b = (
-        np.array([[p.pose.position.x, p.pose.position.y, p.pose.position.z]
-                  for p in path[0].poses]) for path in (path_a, path_b))
-    assert path_a[0].header.frame_id == path_b[0].header.frame_id == 'map'
-    assert np.allclose(positions_a, poses_a[:, :3, 3], atol=1e-12)
-    assert np.allclose(positions_b, positions_a, atol=1e-9)
-    lines, text = markers[0].markers
-    assert len(lines.points) == 200
-    assert text.text == 'lidar -> camera: tracks 0.000 m apart (rms)'
-
-
 def test_clocks_that_differ_are_named_before_anybody_drives_in_vain(tmp_path):
     with ros.running(tmp_path, *TAYLOR) as (_, client):
         stamps_ns, poses_a, poses_b = ros.drive(poses=50)
@@ -800,18 +802,16 @@ def test_messages_that_dds_lost_are_counted_and_shown():
     assert status.hardware_id == 'a'
 
 
-def refused(folder, arguments, domain=1):
-    """Start a node that must end by itself with status 2; return its log."""
-    node = ros.NodeProcess(folder, domain, '/test_start', arguments)
-    try:
-        assert node.process.wait(ros.LIMIT_S) == 2
-    finally:
-        node.process.kill()
-    assert 'Traceback' not in node.log
-    return node.log
-
-
-@pytest.mark.parametrize('arguments, sentence', [
+# Runs the node as its process does, with one list of arguments after the other.
+STARTS = """
+import json, sys
+from trajectory_calibration.ros.run import main
+for arguments in json.load(sys.stdin):
+    sys.argv[1:] = ['--ros-args', *arguments]
+    status = main(lambda: False)
+    print(f'ended with {status}', file=sys.stderr, flush=True)
+"""
+REFUSED = [
     (('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
     (('-p', 'solver:=magic'), "solver 'magic' is unknown"),
     (('-p', 'max_gaps:=1.0'), "parameter 'max_gaps' is unknown"),
@@ -822,25 +822,54 @@ def refused(folder, arguments, domain=1):
     (('-p', 'result_directory:=~nobody_here/x'), '~nobody_here/x names the home of nobody'),
     (('-p', 'topic_a:=a//b'), 'is not a name of a topic'),
     (('-p', 'frame_a:=[]'), 'if one is an empty list, correct it'),
-    (('-p', b'frame_a:=\xff'), "can't encode character"),
+    (('-p', os.fsdecode(b'frame_a:=\xff')), "can't encode character"),
     (('-p', 'use_sim_timer:=true'), "parameter 'use_sim_timer' is unknown"),
     (('-p', 'use_sim_time:=5'), 'use_sim_time is 5, needed true or false'),
     (('-p', 'use_sim_time:=maybe'), "use_sim_time is 'maybe', needed true or false"),
     (('-p', 'start_type_description_service:=maybe'),
      "start_type_description_service is 'maybe', needed true or false"),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml'),
-])
+]
+
+
+@pytest.fixture(scope='module')
+def refusals(tmp_path_factory):
+    """Return what the node said at each of these starts, and the status it ended with."""
+    environment = {**os.environ, **ros.ENVIRONMENT, 'ROS_DOMAIN_ID': '1',
+                   'ROS_LOG_DIR': str(tmp_path_factory.mktemp('log'))}
+    done = subprocess.run(
+        [sys.executable, '-c', STARTS], input=json.dumps([words for words, _ in REFUSED]),
+        env=environment, capture_output=True, text=True, check=False, timeout=ros.LIMIT_S)
+    *logs, rest = re.split(r'ended with (\S+)\n', done.stderr)
+    assert (done.returncode, rest) == (0, ''), done.stderr
+    return dict(zip((words for words, _ in REFUSED), zip(logs[::2], logs[1::2], strict=True),
+                    strict=True))
+
+
+@pytest.mark.parametrize('arguments, sentence', REFUSED)
 def test_invalid_arguments_at_the_start_end_the_node_with_a_sentence(
-        tmp_path, arguments, sentence):
-    assert sentence in refused(tmp_path, arguments)
+        refusals, arguments, sentence):
+    log, status = refusals[arguments]
+    assert (status, 'Traceback' in log) == ('2', False), log
+    assert sentence in log
 
 
-def test_a_domain_without_ports_ends_the_node_with_a_sentence(tmp_path):
-    assert 'ROS_DOMAIN_ID is 900, needed 0 to 232' in refused(tmp_path, (), domain=900)
+@pytest.mark.parametrize('domain, arguments, sentence', [
+    (1, ('-p', 'max_gap:=-1.0'), 'max_gap is -1.0, needed 0 to 3600'),
+    (900, (), 'ROS_DOMAIN_ID is 900, needed 0 to 232'),
+])
+def test_a_refusal_is_the_status_of_the_process(tmp_path, domain, arguments, sentence):
+    node = ros.NodeProcess(tmp_path, domain, '/test_start', arguments)
+    try:
+        assert node.process.wait(ros.LIMIT_S) == 2
+    finally:
+        node.process.kill()
+    assert sentence in node.log
+    assert 'Traceback' not in node.log
 
 
 @pytest.mark.parametrize('number, times', [
-    (signal.SIGINT, 2), (signal.SIGTERM, 2), (signal.SIGHUP, 1),
+    (signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGHUP, 1),
     pytest.param(signal.SIGINT, 50, marks=pytest.mark.slow),
     pytest.param(signal.SIGTERM, 50, marks=pytest.mark.slow)])
 def test_signals_end_the_node_cleanly(tmp_path, number, times):

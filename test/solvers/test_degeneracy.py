@@ -13,7 +13,9 @@ from trajectory_calibration.solvers import load_solver, solver_info, SOLVER_NAME
 from trajectory_calibration.time_alignment.pairing import associate
 
 pytestmark = pytest.mark.usefixtures('noise_identified_once')
-NOISE = (0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+# Three of them on the oldest dependencies, too.
+NOISE = (0.0, *(pytest.param(noise, marks=pytest.mark.once)
+                for noise in (1e-12, 1e-7, 1e-6, 1e-5, 1e-4)), 1e-9, 1e-3)
 CAMERA = se3.from_rotation_translation(
     [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.3, 0.05, -0.1])
 # They find the rotation from rotations alone, which about a single axis leave it open.

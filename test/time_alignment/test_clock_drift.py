@@ -24,6 +24,9 @@ from trajectory_calibration.simulation import (
 )
 from trajectory_calibration.time_alignment.clock_offset import Clock, synchronise
 
+# What they hold is arithmetic: one set of dependencies tells it.
+pytestmark = pytest.mark.once
+
 PPM = 1e-6
 
 
