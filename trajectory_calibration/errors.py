@@ -8,6 +8,8 @@ command line can print it as it is and the node can answer a service call with i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from difflib import get_close_matches
 from importlib import import_module
 from types import ModuleType
 
@@ -96,6 +98,13 @@ def in_words(error: Exception) -> str:
 def counted(count: int, noun: str) -> str:
     """Return '1 pose' or '1,200 poses'."""
     return f'{count:,} {noun}' if count == 1 else f'{count:,} {noun}s'
+
+
+def unknown_name(what: str, name: object, known: Sequence[str], where: str = '') -> str:
+    """Return that a name is unknown, and the one that was meant, or else all known ones."""
+    near = get_close_matches(str(name), known, n=1)
+    return f'{what} {name!r}{where} is unknown; ' + (
+        f'did you mean {near[0]}?' if near else f'known are {", ".join(known)}')
 
 
 def rounded(value: float, digits: int = 2) -> str:

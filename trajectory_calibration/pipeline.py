@@ -155,7 +155,7 @@ def _recalled(found: Sequence[Finding]) -> Iterator[None]:
         yield
     except (MotionError, SolverError) as error:
         if found:
-            error.args = (f'{error}; found before: {"; ".join(map(str, found))}',)
+            error.args = (f'{error}. Also found: {"; ".join(map(str, found))}',)
         raise
 
 

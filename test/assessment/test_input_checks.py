@@ -235,12 +235,20 @@ def test_clocks_that_are_farther_apart_than_was_searched_are_named(offset_s):
 
 def test_a_vehicle_that_stands_still_is_asked_whether_it_does():
     rng = np.random.default_rng(4)
+
+    def standing(stamps_ns, name):
+        n = len(stamps_ns)
+        return Trajectory(stamps_ns, se3.from_rotation_translation(
+            se3.exp_so3(0.001 * rng.standard_normal((n, 3))),
+            0.005 * rng.standard_normal((n, 3))), sensor_frame=name)
+
     stamps_ns = 10**18 + 10**8 * np.arange(600)
-    a, b = (Trajectory(stamps_ns, se3.from_rotation_translation(
-        se3.exp_so3(0.001 * rng.standard_normal((600, 3))),
-        0.005 * rng.standard_normal((600, 3)))) for _ in 'ab')
     with pytest.raises(MotionError, match='Does the vehicle stand still'):
-        checked(a, b)
+        checked(standing(stamps_ns, 'a'), standing(stamps_ns, 'b'))
+    # One that stands beside one that moves is named.
+    a, _ = pair('drone')
+    with pytest.raises(MotionError, match='b alone does not turn: did its SLAM stop'):
+        checked(a, standing(a.stamps_ns, 'b'))
 
 
 def in_world(t, turn):
@@ -258,7 +266,7 @@ def test_an_orientation_in_another_world_than_the_position_is_named(turn_deg):
     except MotionError as refused:
         said = [str(refused)]
     assert len(said) == 1
-    assert 'positions and orientations of one of them in two worlds' in said[0]
+    assert 'positions and orientations of one sensor in two worlds' in said[0]
 
 
 @pytest.mark.parametrize('scenario', ['offroad', 'road', 'drone', 'handheld'])

@@ -78,7 +78,8 @@ def test_text_shows_the_answer_first_then_the_findings(files, tmp_path, capsys):
                                angles, atol=1e-3)
     assert 'error against the ground truth: 0.0000 m, 0.000 deg' in answer
     assert 'ok: at most 0.05 m, 0.5 deg; weak: more; unknown: not determined' in answer
-    assert findings == f'note: sensor_a: {a}: dropped 1 of 81 poses, not finite\n'
+    assert findings == (f'note: sensor_a: {a}: dropped 1 of 81 poses: not finite, or a '
+                        'quaternion of zeros\n')
 
 
 def test_verbose_tells_the_rest_and_quiet_the_transform_alone(files, capsys):
@@ -354,7 +355,7 @@ def test_a_saved_result_is_a_configuration(files, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(('content', 'message'), [
-    ('solvr: dnl', "setting 'solvr' is unknown; known are solver, reference"),
+    ('solvr: dnl', "setting 'solvr' is unknown; did you mean solver?"),
     ('max_gap: -1', 'max_gap is -1.0, needed 0 to 3600'),
     ('max_gap: [1]', 'needed a value of type float'),
     ('- 1', 'holds no settings; needed lines such as'),
@@ -378,6 +379,8 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--time-ofset', '1'], 2,
      'error: calibrate takes no option --time-ofset; did you mean --time-offset? See calibrate'),
     (['{a}', '{b}', 'c'], 2, 'error: calibrate takes no argument c. See calibrate --help'),
+    (['x.mcap', '/a', '/b'], 2,
+     'error: calibrate takes no argument /b; a bag is an option: --bag x.mcap. See calibrate'),
     (['{a}', '{b}', '--solver', 'magic'], 2, "solver 'magic' is unknown; needed one of dnl"),
     (['{a}', '{b}', '--max-gap', 'x'], 2, "argument --max-gap: invalid float value: 'x'"),
     (['{a}', '{b}', '--max-gap', '-1'], 2, 'error: max_gap is -1.0, needed 0 to 3600'),

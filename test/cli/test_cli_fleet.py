@@ -257,6 +257,11 @@ def test_a_list_of_jobs_that_is_none_is_named(tmp_path, text, message):
         read_jobs([str(tmp_path / 'jobs.yaml')], None, None, CalibrationConfig())
 
 
+def test_a_folder_of_folders_is_named_with_the_pattern_that_serves(drives):
+    with pytest.raises(ConfigError, match=r"holds one folder for each recording; give '.*/\*'$"):
+        read_jobs([str(drives)], 'a.tum', 'b.tum', CalibrationConfig())
+
+
 def test_bags_without_sensors_are_wrong_usage(capsys, tmp_path):
     status, _, err = run(capsys, 'fleet', 'x.mcap', '--output', tmp_path)
     assert status == 2

@@ -62,6 +62,12 @@ def test_files_are_overwritten_only_by_force(tmp_path, capsys):
     text = (tmp_path / 'out/result.html').read_text(encoding='utf-8')
     assert CalibrationResult.load(saved).frame_a in text
     assert run(capsys, 'report', saved, a, b)[0] == 2
+    # Other trajectories are no evidence for this result, and the page says so first.
+    status, _, err = run(capsys, 'report', saved, b, a, '--output', tmp_path / 'other.html')
+    assert 'serious: A and B are not the trajectories of ' in err
+    text = (tmp_path / 'other.html').read_text(encoding='utf-8')
+    assert 'Usable with care' in text
+    assert '<code>recording-other</code>' in text
 
 
 def test_the_report_holds_the_inputs_and_a_command_that_repeats_it(tmp_path, capsys):

@@ -27,6 +27,7 @@ def test_holds_what_it_was_given_and_no_more(poses):
     assert trajectory.warnings == ()
     assert len(trajectory) == 10
     assert trajectory.duration_s == pytest.approx(0.9)
+    assert repr(trajectory) == '<Trajectory of lidar in map: 10 poses over 0.9 s>'
     with pytest.raises(ValueError, match='read-only'):
         trajectory.poses[0, 0, 0] = 2.0
 

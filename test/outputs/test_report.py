@@ -19,6 +19,7 @@ from trajectory_calibration.outputs.report import (
     render_report,
 )
 from trajectory_calibration.outputs.report.data import report_data
+from trajectory_calibration.outputs.report.figures import Scene
 from trajectory_calibration.outputs.report.view3d import upright
 from trajectory_calibration.simulation import SCENARIOS, simulate
 
@@ -244,3 +245,12 @@ def test_hashing_says_how_far_it_is(tmp_path):
     assert calls == [*((k << 20, total) for k in (1, 2, 3)), (total, total)]
     assert rows[1] == ('a', str(tmp_path / 'a.tum'), '3', hashlib.sha256(b'abc').hexdigest())
     assert rows[2][3] == 'not readable: No such file or directory'
+
+
+@pytest.mark.parametrize('metres', [0.03, 0.43, 0.499, 1.0, 4.2, 87.0, 499.0])
+def test_a_scale_bar_has_a_length_and_fits(metres):
+    scene = Scene('', 300.0, 200.0, np.zeros(2), pixels=90.0 / metres)
+    scene.scale_bar()
+    drawn = scene.svg()
+    length, unit = re.search(r'>([\d.]+) (m|mm)<', drawn).groups()
+    assert metres / 2.51 <= float(length) * (1 if unit == 'm' else 1e-3) <= 1.001 * metres

@@ -18,9 +18,11 @@ from trajectory_calibration.errors import CalibrationError, MotionError, SolverE
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import load_solver
+from trajectory_calibration.solvers.drift_aware.diagnosis import findings_of
 from trajectory_calibration.solvers.drift_aware.drive import Drive, State
 from trajectory_calibration.solvers.drift_aware.fit import fit
 from trajectory_calibration.solvers.drift_aware.solver import solve_pairs
+from trajectory_calibration.solvers.solution import Jump
 from trajectory_calibration.time_alignment.pairing import associate, associate_nearest
 
 FIXED = dict.fromkeys(('scale', 'systematic_drift', 'time_offset'), 'fixed')
@@ -156,6 +158,14 @@ def test_jumps_are_named_and_set_aside():
     assert finding.text.startswith('2 pose jumps')
     assert '0.6 m and' in finding.text
     assert 'at 18.2 s' in finding.text
+    # What rounding leaves of a rotation that did not jump is no number.
+    exact = replace(solution.diagnosis, systematic_drift=(0.05, 1e-16, -0.01),
+                    systematic_drift_deviation=(1e-3,) * 3,
+                    jumps=(Jump(8_200_000_000, 0.3, 1e-16),))
+    drift, jump = findings_of(exact, 0)
+    assert jump.text.endswith('0.3 m and 0 deg at 8.2 s')
+    assert drift.text == (
+        'b drifts by +5.00% and -1.00% of the distance along its x and z: corrected')
 
 
 def test_scale_is_found_where_there_is_one():
@@ -379,7 +389,7 @@ def test_a_fit_that_did_not_settle_says_so(monkeypatch):
     monkeypatch.setattr('trajectory_calibration.solvers.drift_aware.fit._MOST_ROUNDS', 1)
     (finding,) = solve_pairs(pairs, FIXED).findings
     assert finding.code == 'not-converged'
-    assert 'drift_aware: stopped after 1 rounds before it settled' in finding.text
+    assert 'drift_aware did not converge in 1 iteration: the last step was' in finding.text
 
 
 @pytest.mark.statistical

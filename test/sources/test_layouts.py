@@ -163,7 +163,7 @@ def test_layouts_of_real_tools(tmp_path, names, options):
 def test_the_size_of_the_times_tells_their_unit(tmp_path, unit):
     trajectory = FileSource(_write(tmp_path / 'a.txt', TUM, unit=unit)).load()
     assert _is_right(trajectory)
-    assert f'its times are read as {unit}, as their size tells' in trajectory.warnings[0]
+    assert f'its times are read as {unit}, judged by their size' in trajectory.warnings[0]
 
 
 @pytest.mark.parametrize(('columns', 'message'), [

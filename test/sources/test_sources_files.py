@@ -123,7 +123,7 @@ def test_poses_of_a_lost_slam_are_dropped_with_a_count(tmp_path, track):
     trajectory = FileSource(_write(tmp_path / 'a.txt', rows), sensor_frame='cam').load()
     np.testing.assert_array_equal(trajectory.stamps_ns, track[0][[0, 2, 4]])
     assert trajectory.warnings[0].startswith('cam: ')
-    assert 'dropped 3 of 6 poses, not finite' in trajectory.warnings[0]
+    assert 'dropped 3 of 6 poses: not finite, or a quaternion of zeros' in trajectory.warnings[0]
 
 
 @pytest.mark.parametrize('first', ['1 0 0 0', '-1.0 0 -0.0 0'])
@@ -184,9 +184,9 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'1 2 3 4 0 0 0 1\n', 'poses in 1 of 1 row, needed at least 2; record'),
     (b'1 2 3 4 0 0 0 1\n' * 2, '1 pose with a stamp of its own, needed at least 2'),
     (b'nan nan nan nan nan nan nan nan\n' * 3,
-     r'poses in 0 of 3 rows, needed at least 2 \(dropped 3 of 3 poses, not finite\)'),
+     r'poses in 0 of 3 rows, needed at least 2 \(dropped 3 of 3 poses: not finite, or'),
     (b'1 2 3 4 0 0 0 1\n2 nan 3 4 0 0 0 1\n3 4',
-     'poses in 1 of 2 rows.*dropped 1 of 2 poses, not finite'),
+     'poses in 1 of 2 rows.*dropped 1 of 2 poses: not finite'),
 ])
 def test_files_that_hold_no_trajectory(tmp_path, content, message):
     path = tmp_path / 'a.txt'

@@ -112,9 +112,9 @@ def two_worlds(
         return ()
     return (Finding(
         'worlds-differ',
-        f'turns and ways tell rotations of {frames[1]} in {frames[0]} that differ by '
-        f'{rounded(np.rad2deg(angle))} deg: are positions and orientations of one of them in two '
-        'worlds (NED and ENU, axes exchanged, yaw from another north)? Write both in one world',
+        f'the rotations and the translations give orientations of {frames[1]} in {frames[0]} '
+        f'that differ by {rounded(np.rad2deg(angle))} deg. Are positions and orientations of one '
+        'sensor in two worlds (NED and ENU, exchanged axes, another north)? Write both in one',
         {'apart_deg': float(np.rad2deg(angle)), 'std_deg': float(np.rad2deg(std))}),)
 
 

@@ -34,6 +34,7 @@ from trajectory_calibration.assessment.rigid_fit import (
 )
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, counted, MotionError, rounded
@@ -230,9 +231,10 @@ def _refuse_other_reading(
         return
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
-        f'{a.sensor_frame} and {b.sensor_frame} do not fit as read: {what}? Then '
-        f'{best.way_share:.1%} of the translations and {best.turn_share:.1%} of the rotations '
-        f'differ, instead of {found.way_share:.0%} and {found.turn_share:.0%}. Use {option}')
+        f'{a.sensor_frame} and {b.sensor_frame} do not fit as read: {what}? Read so, their '
+        f'translations differ by {best.way_share:.1%} and their rotations by '
+        f'{best.turn_share:.1%}, instead of {found.way_share:.0%} and {found.turn_share:.0%}. '
+        f'Use {option}')
 
 
 def _other_readings(
@@ -291,17 +293,17 @@ def _refuse_two_bodies(
             for item in found):
         turned = max(found, key=lambda item: item.turn_apart)
         raise MotionError(
-            f'{frames} did not turn together: over {counted(turned.lag, "pose")} they turn by '
-            f'{rounded(np.rad2deg(turned.turn))} deg and apart by '
+            f'{frames} did not turn together: over {turned.lag_s:g} s they turn by '
+            f'{rounded(np.rad2deg(turned.turn))} deg, and differ by '
             f'{rounded(np.rad2deg(turned.turn_apart))} deg. '
             f'{_advice_on_turns(turned, pairs, a, b, config)}')
     moved = growth(found, 'way')
     if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
         apart = max(found, key=lambda item: item.way_apart)
         raise MotionError(
-            f'{frames} turned together, but their positions do not fit one vehicle: apart by '
-            f'{rounded(apart.way_apart)} m over {counted(apart.lag, "pose")}, {moved:.1f} times '
-            'what noise makes. Check axes and units of both, or use --no-input-checks')
+            f'{frames} turned together, but their positions do not fit one vehicle: over '
+            f'{apart.lag_s:g} s they differ by {rounded(apart.way_apart)} m, {moved:.1f} times '
+            'what noise explains. Check axes and units of both, or use --no-input-checks')
 
 
 def _advice_on_turns(
@@ -314,11 +316,16 @@ def _advice_on_turns(
     """
     if found.turn < _STANDS:
         return 'Does the vehicle stand still? Record while it turns and moves'
+    motions = select_motions(pairs, f'B{found.lag}')
+    for sensor, poses in ((a, motions.A), (b, motions.B)):
+        if np.median(se3.rotation_angle(poses[:, :3, :3])) < _STANDS:
+            return (f'{sensor.sensor_frame} alone does not turn: did its SLAM stop, or does it '
+                    'not ride on this vehicle? Check its topic or file')
     # Turns by themselves may agree where those that fit the ways do not.
     for finding in two_worlds(np.eye(4), pairs, (a.sensor_frame, b.sensor_frame)):
-        return f'But {finding.text}'
-    advice = ('Are they of one vehicle at the same time? Check the topics or files, and the '
-              'clocks (max_time_offset is how far apart they may be)')
+        return finding.text[0].upper() + finding.text[1:]
+    advice = ('Are both of one drive of one vehicle? Check the topics or files, and the clocks '
+              '(max_time_offset is the largest offset that is searched)')
     if config.time_offset_mode == 'fixed' or not 0 < config.max_time_offset < _FAR_OFFSET:
         return advice
     with suppress(AssociationError):

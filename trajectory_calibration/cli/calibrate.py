@@ -47,9 +47,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_truth_argument(parser)
     group = parser.add_argument_group('output')
     group.add_argument(
-        '--format', choices=('text', 'json', 'yaml'), default='text', help='on the screen')
+        '--format', choices=('text', 'json', 'yaml'), default='text', help='output format')
     group.add_argument(
-        '-v', '--verbose', action='store_true', help='show all findings and how it was made')
+        '-v', '--verbose', action='store_true',
+        help='show all findings, and how the answer was computed')
     group.add_argument(
         '-q', '--quiet', action='store_true', help='show the transform alone: x y z qx qy qz qw '
         '(serious findings on standard error)')
@@ -57,10 +58,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--output', type=Path, metavar='DIR',
         help='folder for the result (result.yaml) and its exports (URDF, static transform, ...)')
     group.add_argument(
-        '--report', type=Path, metavar='FILE.html', help='page that shows what the answer rests '
-        'on; written also where there is no answer')
+        '--report', type=Path, metavar='FILE.html', help='HTML page with the evidence for the '
+        'answer; also written without an answer')
     group.add_argument(
-        '--plots', type=Path, metavar='DIR', help='folder for figures as PNG, SVG and PDF')
+        '--plots', type=Path, metavar='DIR', help='folder for figures as PNG, SVG and PDF; '
+        'needs matplotlib')
     group.add_argument('--force', action='store_true', help='overwrite files')
     add_config_options(parser)
 

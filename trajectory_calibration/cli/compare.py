@@ -24,7 +24,7 @@ FILES = ('table.csv', 'table.json', 'fleet.html')
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'compare', help='tell whether saved results are of one extrinsic, or since when not',
+        'compare', help='tell whether saved results agree, or when the extrinsic changed',
         usage='%(prog)s [options] RESULT RESULT [RESULT ...]',
         description='Put results of the same sensors in the order of their dates, and find where '
         'the extrinsic changed. Exit status: 0 they agree, 4 they do not. Rigs (rig.yaml) are '
@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def add_output_options(parser: argparse.ArgumentParser, output: Path | None = None) -> None:
     """Add how the table is printed and where it is written."""
     parser.add_argument(
-        '--format', choices=('text', 'csv', 'json'), default='text', help='of the output')
+        '--format', choices=('text', 'csv', 'json'), default='text', help='output format')
     written = f'(default: {output})' if output else '(default: none is written)'
     parser.add_argument(
         '--output', type=Path, metavar='DIR', default=output,

@@ -52,7 +52,7 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         help='joblib, or dask for a cluster (default: joblib)')
     parser.add_argument(
         '--scheduler', metavar='ADDRESS',
-        help='of a Dask cluster (default: a cluster of its own on this machine)')
+        help='address of a Dask cluster (default: one on this machine)')
 
 
 def run(arguments: argparse.Namespace) -> int:

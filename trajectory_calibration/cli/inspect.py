@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     # The other commands take bags so.
     parser.add_argument(
         '--bag', metavar='BAG', action='append', default=[], type=Path, help='the same as PATH')
-    parser.add_argument('--format', choices=('text', 'json'), default='text', help='of the output')
+    parser.add_argument('--format', choices=('text', 'json'), default='text', help='output format')
     add_file_arguments(parser)
     parser.set_defaults(parser=parser)
 

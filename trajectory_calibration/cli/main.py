@@ -12,6 +12,7 @@ from difflib import get_close_matches
 from importlib import import_module
 import io
 import os
+from pathlib import Path
 import re
 import sys
 
@@ -19,6 +20,7 @@ from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, missing_package
+from trajectory_calibration.sources.text import is_bag
 from trajectory_calibration.version import __version__
 
 # A module of a subcommand offers add_parser(subparsers), and run(arguments), which returns the
@@ -92,6 +94,9 @@ def _describe_unknown(
         given, re.findall(r'--[a-z-]+', commands[command].format_help()), n=1)
     meant = f'; did you mean {near[0]}?' if near else '.'
     what = 'option' if given.startswith('-') else 'argument'
+    bags = [name for name in argv if is_bag(Path(name))]
+    if what == 'argument' and bags and '--bag' not in argv:
+        meant = f'; a bag is an option: --bag {bags[0]}.'
     return f'{command} takes no {what} {given}{meant} See {command} --help'
 
 

@@ -35,14 +35,18 @@ def join_negative_values(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
-def add_config_options(parser: argparse.ArgumentParser) -> None:
-    """Add ``--config FILE`` and one option for each field of CalibrationConfig."""
+def add_config_options(parser: argparse.ArgumentParser, without: tuple[str, ...] = ()) -> None:
+    """Add ``--config FILE`` and one option for each field of CalibrationConfig.
+
+    ``without`` are the beginnings of the names that a command does not heed.
+    """
     group = parser.add_argument_group('settings of the calibration')
     group.add_argument(
         '--config', type=Path, metavar='FILE',
         help='YAML with settings by name, or a saved result to repeat; options given here win')
     for option in CalibrationConfig.options():
-        _add_option(group, option)
+        if not option.name.startswith(without):
+            _add_option(group, option)
 
 
 def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:

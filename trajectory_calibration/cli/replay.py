@@ -21,7 +21,7 @@ _NODE_NAME = 'trajectory_calibration'
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'replay', help="give a bag to the node's buffers and calibrate as the node would",
+        'replay', help='calibrate a bag as the node would, through the same buffers',
         usage='%(prog)s [options] BAG [BAG ...]',
         description="Feed a bag to the node's buffers at full speed and print the answer that "
         'the node gives after it received the same messages.')
@@ -35,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="one of the node's parameters, as ROS takes it: -p topic_a:=/lidar/odometry")
     parser.add_argument(
         '--format', choices=('text', 'json', 'yaml'), default='text',
-        help="of the output; text is the node's answer")
+        help="output format; text is the node's answer")
 
 
 def run(arguments: argparse.Namespace) -> int:

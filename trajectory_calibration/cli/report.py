@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
+import sys
 
 from trajectory_calibration.cli import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
@@ -16,6 +18,8 @@ from trajectory_calibration.cli.writing import (
     require_new,
     write_pages,
 )
+from trajectory_calibration.data.findings import Finding
+from trajectory_calibration.data.trajectory import recording_of
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.result import is_rig
@@ -26,9 +30,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         'report', help='write the HTML report of a saved result',
         usage='%(prog)s [options] RESULT A B\n       %(prog)s [options] RIG_RESULT RIG.yaml',
-        description='Write one HTML page that shows what a saved result rests on, from the two '
-        'trajectories that it was made from; of a saved rig, from those of RIG.yaml. '
-        'docs/report.md explains every figure.')
+        description='Write one HTML page with the evidence for a saved result. A and B, or those '
+        'of RIG.yaml for a rig, are the trajectories that it was made from. docs/report.md '
+        'explains every figure.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
     add_input_arguments(parser, pair=False)
     add_truth_argument(parser)
@@ -36,7 +40,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--output', type=Path, metavar='FILE',
         help='page to write (default: RESULT with the ending .html)')
     parser.add_argument(
-        '--plots', type=Path, metavar='DIR', help='folder for the figures as PNG, SVG and PDF')
+        '--plots', type=Path, metavar='DIR', help='folder for the figures as PNG, SVG and '
+        'PDF; needs matplotlib')
     parser.add_argument('--force', action='store_true', help='overwrite files')
 
 
@@ -51,6 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
     page = arguments.output or arguments.result.with_suffix('.html')
     require_new([page, *plot_paths(arguments.plots)], force=arguments.force)
     a, b = load_pair(arguments, (result.frame_a, result.frame_b))
+    if result.recording not in (None, recording_of(a, b)):
+        result = replace(result, findings=(Finding(
+            'recording-other', f'A and B are not the trajectories of {arguments.result}: the page '
+            'shows how well its answer fits them. Give those that it was made from, or use '
+            'verify'), *result.findings))
+        print(f'{result.findings[0].level}: {result.findings[0]}', file=sys.stderr)
     truth = read_truth(arguments.ground_truth, result.frame_a, result.frame_b)
     for path in write_pages(result, a, b, truth, arguments, page):
         print(f'wrote {path}')

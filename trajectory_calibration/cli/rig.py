@@ -71,7 +71,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--from-results', type=Path, metavar='DIR',
         help='make the rig of the results of pairs (.yaml) in a folder, such as nodes save')
     parser.add_argument('--base', metavar='NAME', help='sensor whose frame is that of the rig')
-    parser.add_argument('--pairs', choices=PAIRS, help='which pairs are calibrated')
+    parser.add_argument(
+        '--pairs', choices=PAIRS, help='pairs to calibrate: all; base: each sensor with the base; '
+        'auto: all, but fewer with more than four sensors')
     parser.add_argument(
         '--leave-out-contradicting', action='store_true',
         help='leave sensors that contradict the others out of the answer')
@@ -82,14 +84,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     group.add_argument(
         '--ground-truth', type=Path, metavar='FILE', help='a saved rig with known poses')
     group.add_argument(
-        '--format', choices=('text', 'json', 'yaml'), default='text', help='on the screen')
+        '--format', choices=('text', 'json', 'yaml'), default='text', help='output format')
     group.add_argument(
         '-v', '--verbose', action='store_true', help='show all findings and all pairs')
     group.add_argument(
         '--output', type=Path, metavar='DIR', help=f'folder for the rig ({RIG_FILE}), URDF, '
         'launch file, sensor_kit_calibration.yaml, and all exports of each sensor')
     group.add_argument(
-        '--report', type=Path, metavar='FILE.html', help='page that shows what the rig rests on')
+        '--report', type=Path, metavar='FILE.html', help='HTML page with the evidence for the rig')
     group.add_argument('--force', action='store_true', help='overwrite files')
 
 

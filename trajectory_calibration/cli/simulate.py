@@ -28,7 +28,7 @@ TOPICS = ('/trajectory_a', '/trajectory_b')
 
 # Fields of a sensor of a scenario that are options.
 _OF_A_SENSOR = (
-    ('rate', float, 'HZ', 'poses per second'),
+    ('rate', float, 'HZ', 'poses per second (default: of the scenario)'),
     ('clock-offset', float, 'S', 'its clock is ahead by this many seconds'),
     ('clock-drift', float, 'S/S', 'its clock gains this many seconds a second'),
     ('gaps', int, 'N', 'gaps in its poses'),
@@ -41,14 +41,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         'simulate', help='make two trajectories with a known extrinsic',
         usage='%(prog)s [options] --output DIR',
-        description='Simulate two sensors on one base, with the errors of their SLAM. '
-        'Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
+        description='Simulate the trajectories of two sensors on one vehicle, with the errors of '
+        'a SLAM. Writes truth.tum, and a.tum and b.tum or a rosbag2 in the folder bag.')
     parser.add_argument('--output', type=Path, required=True, metavar='DIR', help='folder to fill')
     parser.add_argument('--force', action='store_true', help='overwrite files')
     parser.add_argument(
         '--scenario', default='mixture', metavar='NAME',
-        help='noise, outliers, drift, mixture (those of the paper), offroad, road, drone or '
-        'handheld (default: mixture)')
+        help='noise, outliers, drift, mixture (10 s each, as in the paper), offroad, road (nearly '
+        'flat), drone or handheld (default: mixture)')
     parser.add_argument('--seed', type=int, default=0, help='random seed (default: 0)')
     parser.add_argument(
         '--noise', action='append', default=[], metavar='[a.|b.]NAME=VALUE',

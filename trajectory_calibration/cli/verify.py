@@ -34,8 +34,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
     add_input_arguments(parser, pair=False)
     parser.add_argument(
-        '--format', choices=('text', 'json'), default='text', help='of the output')
-    add_config_options(parser)
+        '--format', choices=('text', 'json'), default='text', help='output format')
+    add_config_options(parser, without=('prior_', 'allow_unobserved'))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -56,8 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
         return found.exit_status
     print(found.describe())
     if resolution := found.describe_resolution():
-        print(f'a shift would have been noticed from: {resolution}')
-    for note in (*found.notes, *(found.result.warnings if found.result else ())):
+        print(f'smallest shift that would have been noticed: {resolution}')
+    # What a direction needs is in the verdict, and a prior would be no way out here.
+    findings = () if found.result is None else found.result.findings
+    for note in (*found.notes, *(
+            item.text for item in findings if not item.code.startswith('direction-'))):
         print(f'note: {note}')
     return found.exit_status
 

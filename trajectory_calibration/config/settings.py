@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 from trajectory_calibration.config.prior import parse_prior, Prior
 from trajectory_calibration.data.motion_pairs import normal_reference, REFERENCE_HELP
 from trajectory_calibration.data.pose_pairs import METHODS
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, unknown_name
 from trajectory_calibration.solvers import (
     DEFAULT_SOLVER,
     solver_info,
@@ -144,20 +144,20 @@ class CalibrationConfig:
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
         'three with - for unknown; 0 fixes a component')
     allow_unobserved: bool = _option(
-        default=False, text='let the node publish, and exports be written of, results with '
-        'unobservable directions; these stay marked')
+        default=False, text='publish and export results with unobservable directions, too; these '
+        'stay marked')
     weak_translation: float = _option(
-        0.05, 'standard deviation above which a direction of the translation is called weak, '
+        0.05, 'standard deviation above which a direction of the translation is weak, '
         'metres', 0.0, 1e3)
     weak_rotation: float = _option(
-        0.5, 'standard deviation above which a direction of the rotation is called weak, degrees',
+        0.5, 'standard deviation above which a direction of the rotation is weak, degrees',
         0.0, 180.0)
     unobserved_translation: float = _option(
-        0.5, 'standard deviation above which a direction of the translation is called '
-        'unobserved, metres', 0.0, 1e3)
+        0.5, 'standard deviation above which a direction of the translation is unobserved '
+        '(shown as unknown), metres', 0.0, 1e3)
     unobserved_rotation: float = _option(
-        5.0, 'standard deviation above which a direction of the rotation is called unobserved, '
-        'degrees', 0.0, 180.0)
+        5.0, 'standard deviation above which a direction of the rotation is unobserved (shown as '
+        'unknown), degrees', 0.0, 180.0)
 
     # Settings of a saved result that this version does not have.
     _unknown: ClassVar[Mapping[str, Any]] = {}
@@ -211,7 +211,7 @@ class CalibrationConfig:
         known = [option.name for option in cls.options()]
         for name in values:
             if name not in known:
-                raise ConfigError(f'setting {name!r} is unknown; known are {", ".join(known)}')
+                raise ConfigError(unknown_name('setting', name, known))
         return cls(**values)
 
     @classmethod

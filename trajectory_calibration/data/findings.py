@@ -46,6 +46,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'poses-lost': ('note', 'poses that the SLAM wrote while it was lost were dropped'),
     'prior-contradicts': ('serious', 'the prior is far from what the motion says'),
     'quaternion-order': ('warning', 'the quaternions may have w first'),
+    'recording-other': ('serious', 'a report of trajectories that the result was not made from'),
     'rig-clock': ('warning', 'the stamps of one sensor are late or early; corrected'),
     'rig-contradiction': ('serious', 'one sensor contradicts the others'),
     'rig-groups': ('warning', 'groups of sensors share no motion; each is answered by itself'),

@@ -161,6 +161,10 @@ class Trajectory:
         """Return the sentences of the findings."""
         return texts(self.findings)
 
+    def __repr__(self) -> str:
+        return (f'<Trajectory of {self.sensor_frame} in {self.world_frame}: '
+                f'{counted(len(self), "pose")} over {self.duration_s:.1f} s>')
+
     def __len__(self) -> int:
         return len(self.stamps_ns)
 

@@ -212,8 +212,8 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         again = ''.join(
             f'; {entry.name}: {entry.failure}' for entry in ordered if entry.repeated)
         raise ResultError(
-            f'{counted(len(answers), "answer")}, needed at least 2 to compare: of different '
-            f'recordings, since those of one share its errors{again}')
+            f'{counted(len(answers), "answer")}, needed at least 2 of different recordings to '
+            f'compare{again}')
     frames = {(result.frame_a, result.frame_b) for _, result in answers}
     if len(frames) > 1:
         pairs = '; '.join(f'{b} in {a}' for a, b in sorted(frames))

@@ -67,7 +67,14 @@ class Executor:
             'backend': 'loky', 'n_jobs': self.processes, 'inner_max_num_threads': 1}
         with self._cluster():
             with joblib.parallel_config(**settings):
-                parallel = joblib.Parallel(return_as='generator_unordered')
+                try:
+                    parallel = joblib.Parallel(return_as='generator_unordered')
+                except ValueError as error:
+                    if self.backend == 'dask':
+                        raise ConfigError(
+                            "dask needs joblib 1.4 or newer; pip install 'joblib>=1.4'") from error
+                    # joblib 1.3, of Ubuntu 24.04, knows one order; the items are numbered.
+                    parallel = joblib.Parallel(return_as='generator')
             yield from parallel(
                 joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
 
@@ -94,5 +101,4 @@ def _load(module: str) -> Any:
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"{module} is not installed; pip install 'trajectory_calibration[fleet]'") from error
+        raise ConfigError(f'{module} is not installed; pip install {module}') from error

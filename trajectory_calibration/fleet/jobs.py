@@ -19,7 +19,12 @@ from typing import Any
 from trajectory_calibration.config.file_names import file_name
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, read_yaml, write_yaml
-from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
+from trajectory_calibration.errors import (
+    CalibrationError,
+    ConfigError,
+    ResultError,
+    unknown_name,
+)
 from trajectory_calibration.fleet.comparison import Entry, short_names
 from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.pipeline import calibrate
@@ -119,6 +124,8 @@ def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfi
     if folder.is_dir() and not any(
             item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
             for item in folder.iterdir()):
+        if not (folder / a).exists() and any((item / a).exists() for item in folder.iterdir()):
+            raise ConfigError(f"{path} holds one folder for each recording; give '{path}/*'")
         return Job('', str(folder / a), str(folder / b), (), config)
     return Job('', a, b, (path,), config)
 
@@ -149,7 +156,7 @@ def _check(given: Mapping[Any, Any], path: Path) -> None:
     """Raise ConfigError where a key of a job is unknown, or its value of the wrong kind."""
     for key, value in given.items():
         if key not in _KEYS:
-            raise ConfigError(f'{path}: {key!r} is unknown; known are {", ".join(_KEYS)}')
+            raise ConfigError(unknown_name(f'{path}: key', key, _KEYS))
         texts = value if key == 'bag' and isinstance(value, list) else [value]
         kind: type = dict if key == 'config' else bool if key.startswith('invert') else str
         for text in texts:

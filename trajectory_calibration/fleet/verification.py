@@ -88,6 +88,8 @@ class Verification:
         held, open_, unknown = (
             [name for name, status in self.status.items() if status == each]
             for each in (HOLDS, CANNOT_TELL, NOT_KNOWN))
+        if self.verdict == CANNOT_TELL and found is None:
+            return f'cannot tell: {self.needs}'
         if self.verdict == CANNOT_TELL:
             rest = f'; {", ".join(held)} hold' if held else ''
             return f'cannot tell {", ".join(open_)} (needs: {self.needs}){rest}'
@@ -176,7 +178,7 @@ def verify(
         return Verification(CANNOT_TELL, status, None, needs, None, notes)
 
     if result.recording == recording_of(trajectory_a, trajectory_b):
-        return cannot_tell('another recording: the saved result was made of this one')
+        return cannot_tell('the saved result was made of this recording; give another one')
     config = replace(
         config or CalibrationConfig.from_dict(result.config.to_dict()), allow_unobserved=True,
         prior_translation='', prior_translation_std='', prior_rotation='', prior_rotation_std='')

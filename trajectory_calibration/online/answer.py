@@ -43,12 +43,13 @@ def describe(result: CalibrationResult, *notes: str) -> str:
     if result.observability.unobserved:
         lines.append(f'unobservable: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
-        lines.append(f'scale of {result.frame_b}: {result.scale:.5f}')
+        lines.append(f'scale: {result.scale:.5f}, multiplies the positions of {result.frame_b}')
     if result.time_offset_s or result.clock_drift:
         drift = f', changing by {1e6 * result.clock_drift:+.1f} ppm' if result.clock_drift else ''
-        lines.append(f'clock of {result.frame_b}: {result.time_offset_s:+.4f} s{drift}')
+        lines.append(f'clock offset: {result.time_offset_s:+.4f} s{drift}, added to the stamps of '
+                     f'{result.frame_b}')
     lines.append(
-        f'data: {result.motions} motions of {result.poses} poses; '
+        f'data: {result.motions:,} motions of {result.poses:,} poses; '
         f'fit residual {result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per '
         'motion (not the accuracy)')
     lines += filter(None, notes)

@@ -18,7 +18,7 @@ import textwrap
 from typing import Any
 
 from trajectory_calibration.config.settings import CalibrationConfig, Option
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, unknown_name
 from trajectory_calibration.online.buffer import BufferLimits
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 from trajectory_calibration.sources.transforms import parse_tf, TF_PREFIX
@@ -124,8 +124,7 @@ def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
     unknown = sorted(name for name in values if name not in OPTIONS
                      and name not in _FOREIGN_NAMES and not name.startswith(_FOREIGN_PREFIX))
     if unknown:
-        raise ConfigError(
-            f'parameter {unknown[0]!r} is unknown; known are {", ".join(sorted(OPTIONS))}')
+        raise ConfigError(unknown_name('parameter', unknown[0], sorted(OPTIONS)))
     checked = {name: option.check(values.get(name, option.default))
                for name, option in OPTIONS.items()}
     for side in 'ab':

@@ -31,9 +31,11 @@ def to_text(comparison: Comparison) -> str:
     for cells in rows:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=False)]
         lines.append('  '.join(padded).rstrip())
-    legend = ('value +- standard deviation, along the axes of a and of the angles; unknown: the '
-              'motion does not determine it')
-    return '\n'.join([*lines, '', legend]) + '\n'
+    legend = ['+-: 1 standard deviation; unknown: not determined by the motion']
+    if comparison.changes:
+        legend.append('A | B: the extrinsic changed between A and B, by so many sigma (standard '
+                      'deviations); chi2/dof: about 1 by chance')
+    return '\n'.join([*lines, '', *legend]) + '\n'
 
 
 def to_csv(comparison: Comparison) -> str:

@@ -95,7 +95,8 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
     """Return clock, scale and noise of each sensor."""
     form = '  {:<14}{:>16}{:>18}{:>12}{:>8}{:>19}{:>12}'
     lines = [terminal.paint(form.format(
-        '', 'clock, ms', 'scale', 'white, mm', 'deg', 'drift, mm/sqrt m', 'deg/sqrt m'), 'soft')]
+        '', 'clock offset, ms', 'scale', 'noise, mm', 'deg', 'drift, mm/sqrt m', 'deg/sqrt m'),
+        'soft')]
     for sensor in rig.sensors.values():
         noise = sensor.noise
         of_noise = [''] * 4 if noise is None else [f'{value:.2g}' for value in (
@@ -103,4 +104,5 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
             1e3 * noise.drift_m, np.rad2deg(noise.drift_rad))]
         clock = '-' if sensor.name == sensor.base else clock_text(sensor)
         lines.append(form.format(sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
-    return lines
+    return [*lines, terminal.paint('  clock offset: added to the stamps; noise: of each pose; '
+                                   'drift: random walk, after 1 m', 'soft')]

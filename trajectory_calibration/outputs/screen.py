@@ -123,8 +123,9 @@ def details(result: CalibrationResult) -> dict[str, str]:
     if result.scale != 1.0:
         deviation = diagnosis.get('scale_deviation')
         # That of what was found on top of the setting.
-        known = '' if deviation is None else f' +- {result.config.scale * deviation:#.2g}'
-        rows['scale'] = f'{result.scale:#.6g}{known} on the translations of {b}'
+        known = '' if deviation is None else (
+            f' +- {result.config.scale * deviation / result.scale:.2%}')
+        rows['scale'] = f'{result.scale:#.5g}{known}, multiplies the positions of {b}'
     if result.time_offset_s:
         rows['clock offset'] = f'{fixed(result.time_offset_s, 4)} s added to the stamps of {b}'
     if result.clock_drift:

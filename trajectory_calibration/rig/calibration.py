@@ -12,7 +12,12 @@ import numpy as np
 
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import recording_of, recordings_in, Trajectory
-from trajectory_calibration.errors import CalibrationError, ConfigError, TrajectoryError
+from trajectory_calibration.errors import (
+    CalibrationError,
+    ConfigError,
+    TrajectoryError,
+    unknown_name,
+)
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
@@ -136,7 +141,7 @@ def _base_first(given: Iterable[str], config: RigConfig) -> list[str]:
     names = list(given)
     for name in (*config.sensors, config.base or names[0]):
         if name not in names:
-            raise ConfigError(f'sensor {name!r} is unknown; known are {", ".join(names)}')
+            raise ConfigError(unknown_name('sensor', name, list(names)))
     return sorted(names, key=lambda name: name != (config.base or names[0]))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from trajectory_calibration.config.prior import parse_prior, Prior
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import ConfigError, unknown_name
 from trajectory_calibration.solvers import solver_info, solvers_that_estimate
 
 SCALES = ('metric', 'free')
@@ -166,7 +166,7 @@ def require_known(values: Iterable[str], known: Sequence[str], where: str) -> No
     """Raise ConfigError for a key that nobody knows."""
     for key in values:
         if key not in known:
-            raise ConfigError(f'key {key!r}{where} is unknown; known are {", ".join(known)}')
+            raise ConfigError(unknown_name('key', key, known, where))
 
 
 def _lines(value: Any, name: str) -> Mapping[str, Any]:

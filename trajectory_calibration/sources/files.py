@@ -161,7 +161,7 @@ class FileSource:
                 raw.stamps_ns, raw.findings = judge_seconds(raw.stamps_ns, numbers.places)
             if unit not in ('s', layout.unit, self.time_unit):
                 raw.findings.append(Finding(
-                    'input-read-as', f'its times are read as {unit}, as their size tells',
+                    'input-read-as', f'its times are read as {unit}, judged by their size',
                     {'unit': unit}))
         if 'number' in layout.columns:
             raw.numbers = np.rint(table.read_numbers(
@@ -189,6 +189,8 @@ class FileSource:
                     order=self.quaternion_order)
             return layout.ordered(self.quaternion_order)
         except SourceError as error:
+            if str(error).startswith(str(self.path)):
+                raise
             raise SourceError(f'{self.path}: {error}') from error
 
     def _require_unit(self, raw: RawPoses, table: Table, layout: Layout) -> None:
@@ -249,7 +251,7 @@ class FileSource:
         lost = _lost(raw.poses)
         identity = np.zeros(len(lost), dtype=bool)
         identity[~lost] = lost_as_identity(raw.poses[~lost])
-        for found, why in ((lost, ', not finite'), (
+        for found, why in ((lost, ': not finite, or a quaternion of zeros'), (
                 identity, ': identity, far from the neighbours (the SLAM was lost?)')):
             count = int(np.count_nonzero(found))
             if count:

@@ -212,7 +212,7 @@ def from_numbers(
             f'{layout.ordered("wxyz").names()}')
     if by_commas:
         raise SourceError(
-            f'{seen}, separated by commas: the order of the quaternion is open; say '
+            f'{seen}, separated by commas: the order of the quaternion is unclear; say '
             '--quaternion-order xyzw or --quaternion-order wxyz')
     return layout
 

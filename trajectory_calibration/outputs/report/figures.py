@@ -166,7 +166,8 @@ class Scene(Canvas):
 
     def scale_bar(self) -> None:
         """Draw a bar of a round length, and write how long it is."""
-        length = ticks(0.0, 0.3 * self.width / self.pixels, 2)[-1]
+        longest = 0.3 * self.width / self.pixels
+        length = log_ticks(0.1 * longest, longest)[-1]
         words = f'{length:g} m' if length >= 0.1 else f'{1e3 * length:g} mm'
         x, y = 10, self.height - 8
         self.add('path', 'axis', d=f'M{x} {y - 5}v5h{length * self.pixels:.1f}v-5')

@@ -112,7 +112,7 @@ def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     if abs(off) > _ANOTHER_UNIT:
         return (Finding(
             'scale-unit', 'b is in another unit of length: its positions were multiplied by '
-            f'{scale:.6g}{known}', {'scale': scale}),)
+            f'{scale:.4g}{known}', {'scale': scale}),)
     if not _proven(off, deviation, _SMALLEST_SCALE):
         return ()
     return (Finding(
@@ -139,14 +139,20 @@ def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     drift, deviations = diagnosis.systematic_drift, diagnosis.systematic_drift_deviation
-    if deviations is None or not any(
-            _proven(value, own, _SMALLEST_DRIFT)
-            for value, own in zip(drift, deviations, strict=True)):
+    named = [] if deviations is None else [
+        k for k in range(3) if _proven(drift[k], deviations[k], _SMALLEST_DRIFT)]
+    if not named:
         return ()
-    x, y, z = (f'{value:+.2%}' for value in drift)
+    shares, axes = (' and '.join(words) for words in (
+        [f'{drift[k]:+.2%}' for k in named], ['xyz'[k] for k in named]))
     return (Finding(
-        'systematic-drift', f'b drifts by {x}, {y}, {z} of the distance along its x, y, z: '
-        'corrected', {'drift_per_metre': list(drift)}),)
+        'systematic-drift', f'b drifts by {shares} of the distance along its {axes}: corrected',
+        {'drift_per_metre': list(drift)}),)
+
+
+def _size(value: float) -> str:
+    # What rounding leaves of a component that did not jump is 0.
+    return f'{round(value, 6):.2g}'
 
 
 def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
@@ -154,10 +160,10 @@ def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
     if not jumps:
         return ()
     named = ', '.join(
-        f'{jump.translation_m:.2g} m and {np.rad2deg(jump.rotation_rad):.2g} deg at '
+        f'{_size(jump.translation_m)} m and {_size(np.rad2deg(jump.rotation_rad))} deg at '
         f'{(jump.stamp_ns - start_ns) * 1e-9:.1f} s' for jump in jumps[:_NAMED_JUMPS])
     return (Finding(
         'pose-jumps', f'{counted(len(jumps), "pose jump")} excluded (relocalisation or loop '
-        f'closure?). Largest, by seconds from the start: {named}', {
+        f'closure?). Largest, in seconds from the start: {named}', {
             'jumps': len(jumps), 'largest_m': max(jump.translation_m for jump in jumps),
             'stamps_ns': [jump.stamp_ns for jump in jumps]}),)

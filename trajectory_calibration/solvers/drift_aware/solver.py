@@ -142,9 +142,9 @@ def _unsettled(found: Fit) -> tuple[Finding, ...]:
     if found.converged:
         return ()
     return (Finding(
-        'not-converged', f'drift_aware: stopped after {found.rounds} rounds before it settled; '
-        f'its last step was {found.last_step:.2g} of the standard deviation: compare with dnlo or '
-        'record longer', {'rounds': found.rounds}),)
+        'not-converged', f'drift_aware did not converge in {counted(found.rounds, "iteration")}: '
+        f'the last step was {found.last_step:.2g} standard deviations. Compare with --solver '
+        'dnlo, or record longer', {'rounds': found.rounds}),)
 
 
 def _require_motion(pairs: PosePairs) -> None:
