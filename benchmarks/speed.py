@@ -82,10 +82,10 @@ def offroad(poses, rate):
     return pair.a, pair.b
 
 
-def seconds_of(work, repeats=REPEATS):
-    """Return the processor seconds of so many runs."""
+def seconds_of(work, repeats=None):
+    """Return the processor seconds of so many runs, by default of REPEATS."""
     found = []
-    for _ in range(repeats):
+    for _ in range(repeats or REPEATS):
         start = time.process_time()
         work()
         found.append(time.process_time() - start)
