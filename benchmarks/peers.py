@@ -26,7 +26,7 @@ from benchmarks.paper.tasks import HARDEST, published_tasks, SETTINGS, simulated
 from trajectory_calibration import CalibrationConfig, CalibrationError
 from trajectory_calibration.assessment.metrics import absolute_errors
 from trajectory_calibration.data.motion_pairs import select_motions
-from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.time_alignment.pairing import associate_by_interpolation
 

@@ -18,6 +18,7 @@ NAME = PACKAGE.name
 # names; the solvers stand after it.
 FLOW = (
     ('errors', 'version'),
+    ('executor',),
     ('geometry',),
     ('data',),
     ('solvers.registry',),

@@ -11,7 +11,7 @@ from pathlib import Path
 import platform
 from typing import TypeVar
 
-from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.version import __version__
 
 _LIBRARIES = ('numpy', 'casadi', 'joblib')

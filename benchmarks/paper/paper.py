@@ -41,7 +41,7 @@ from benchmarks.paper.tasks import (
 )
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError, ResultError
-from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.solvers import SOLVER_NAMES
 
 TRAJECTORIES = ('simulated', 'published', 'both')

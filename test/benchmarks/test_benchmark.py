@@ -44,7 +44,7 @@ from trajectory_calibration.errors import (
     SolverError,
     SourceError,
 )
-from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.executor import Executor
 
 pytestmark = [pytest.mark.once, pytest.mark.skipif(
     not (find_spec('joblib') and find_spec('matplotlib')),

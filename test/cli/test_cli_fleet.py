@@ -5,6 +5,7 @@
 import csv
 import io
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -16,8 +17,8 @@ import numpy as np
 import pytest
 
 from trajectory_calibration import CalibrationConfig, CalibrationResult, ConfigError
-from trajectory_calibration.errors import ResultError
-from trajectory_calibration.fleet.executor import Executor
+from trajectory_calibration.errors import CalibrationError, ResultError
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.fleet.jobs import calibrate_job, Job, read_jobs, run_jobs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import flat, Noise, Scenario, simulate, Unicycle, with_noise
@@ -156,6 +157,13 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
     text = (tmp_path / 'in' / 'drive0' / 'a.tum').read_text()
     (tmp_path / 'in' / 'drive0' / 'a.tum').write_text('# edited\n' + text)
     assert finish(CalibrationConfig(solver='taylor'))[1] != other[1]
+
+
+def test_a_process_that_was_killed_is_one_line():
+    with pytest.raises(CalibrationError, match='a process that calibrates was ended from outside'):
+        list(Executor(jobs=2).unordered(os._exit, [1, 1]))
+    # The next one has processes of its own.
+    assert sorted(Executor(jobs=2).unordered(abs, [-1, -2])) == [(0, 1), (1, 2)]
 
 
 def test_the_old_result_goes_when_the_new_one_is_there(drives, tmp_path, monkeypatch):

@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+import os
 import re
 
 import numpy as np
@@ -140,7 +141,12 @@ def test_the_base_is_whichever_is_asked_for():
     assert (np.abs(step) < 0.5 * std).all()
 
 
-def test_processes_change_nothing():
+def test_processes_change_nothing(monkeypatch):
+    def fork():
+        raise AssertionError('a fork copies the locks of every thread, and not their owners')
+
+    # What a thread of ROS or of a notebook holds stays held in a fork.
+    monkeypatch.setattr(os, 'fork', fork)
     run = simulate_rig(vehicle(duration=20.0), 4)
     one, two = (calibrate_rig(run.trajectories, RigConfig(processes=k)) for k in (1, 2))
     np.testing.assert_array_equal(one.covariance, two.covariance)

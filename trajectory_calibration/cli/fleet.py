@@ -16,7 +16,7 @@ from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.cli.writing import require_new
 
 if TYPE_CHECKING:
-    from trajectory_calibration.fleet.executor import Executor
+    from trajectory_calibration.executor import Executor
     from trajectory_calibration.fleet.jobs import Job
 
 OUTPUT = Path('fleet')
@@ -85,5 +85,5 @@ def _require_own(folder: Path, jobs: Sequence[Job], *, force: bool) -> None:
 
 def executor_of(arguments: argparse.Namespace) -> Executor:
     """Return where the tasks run that ``add_executor_options`` let a person choose."""
-    from trajectory_calibration.fleet.executor import Executor
+    from trajectory_calibration.executor import Executor
     return Executor(arguments.backend, arguments.jobs, arguments.scheduler)

@@ -25,8 +25,8 @@ from trajectory_calibration.errors import (
     ResultError,
     unknown_name,
 )
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.fleet.comparison import Entry, short_names
-from trajectory_calibration.fleet.executor import Executor
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs

@@ -5,18 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from itertools import combinations
-import multiprocessing
+from operator import itemgetter
 import os
-import sys
-import warnings
 
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, CalibrationError
+from trajectory_calibration.executor import Executor
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
@@ -33,8 +32,9 @@ _HUBS = 2
 # and its stated covariance says that it used less.
 _CHECKED_POSES = 2000
 
-# Poses of all pairs together below which a process costs more than it saves.
-_WORTH_PROCESSES = 12_000
+# Poses of all pairs together below which a process, of whose time 0.7 s are its start, costs more
+# than it saves.
+_WORTH_PROCESSES = 20_000
 
 # Parent, child, their trajectories, and the settings.
 _Task = tuple[str, str, Trajectory, Trajectory, RigConfig]
@@ -157,14 +157,13 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
 
 
 def _run(tasks: Sequence[_Task], processes: int) -> list[PairAnswer | PairFailure]:
-    """Calibrate pairs: in processes where that is faster, else here."""
+    """Calibrate pairs: in processes where that is faster and joblib is there, else here."""
     work = sum(min(len(a), len(b)) for _, _, a, b, _ in tasks)
     count = min(processes or os.cpu_count() or 1, len(tasks))
-    # A forked process needs no second import, and a script no guard of its main module.
-    if count < 2 or sys.platform != 'linux' or (not processes and work < _WORTH_PROCESSES):
+    if count < 2 or (not processes and (
+            work < _WORTH_PROCESSES or find_spec('joblib') is None)):
         return list(map(_calibrated, tasks))
-    with warnings.catch_warnings():
-        # The threads that Python sees are those of the linear algebra, which survives a fork.
-        warnings.simplefilter('ignore', DeprecationWarning)
-        with ProcessPoolExecutor(count, multiprocessing.get_context('fork')) as pool:
-            return list(pool.map(_calibrated, tasks))
+    # Not forked: whoever calls may have threads, of ROS or a notebook, whose locks a copy of the
+    # process would keep for ever.
+    found = Executor(jobs=count).unordered(_calibrated, tasks)
+    return [answer for _, answer in sorted(found, key=itemgetter(0))]

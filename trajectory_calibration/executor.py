@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 import os
 from typing import Any, TypeVar
 
-from trajectory_calibration.errors import ConfigError
+from trajectory_calibration.errors import CalibrationError, ConfigError
 
 BACKENDS = ('joblib', 'dask')
 
@@ -56,7 +57,8 @@ class Executor:
         """Yield the number of each item and its result, whichever is done first.
 
         ``function`` is one of a module, which processes import. Raises ConfigError where the
-        backend is not installed, or its cluster cannot be reached.
+        backend is not installed, or its cluster cannot be reached; CalibrationError where a
+        process was killed.
         """
         if not items:
             # A cluster or a pool of processes takes longer to start than there is to do.
@@ -75,8 +77,13 @@ class Executor:
                             "dask needs joblib 1.4 or newer; pip install 'joblib>=1.4'") from error
                     # joblib 1.3, of Ubuntu 24.04, knows one order; the items are numbered.
                     parallel = joblib.Parallel(return_as='generator')
-            yield from parallel(
-                joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
+            try:
+                yield from parallel(
+                    joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
+            except BrokenExecutor as error:
+                raise CalibrationError(
+                    'a process that calibrates was ended from outside, as the system does where '
+                    'memory is short; use fewer (--jobs of fleet, processes of a rig)') from error
 
     def _cluster(self) -> AbstractContextManager[Any]:
         if self.backend != 'dask':
