@@ -57,6 +57,23 @@ def test_what_changes_on_the_way_is_named(change, words):
             change.get('turn_deg', 0.0), abs=0.3)
 
 
+def test_an_exactly_flat_drive_has_no_change_of_its_height():
+    # The height has no information at all, and what rounding leaves of it is no change.
+    t = np.arange(0.0, 120.0, 0.1)
+    yaw = 0.1 * np.cumsum(0.3 * np.sin(t / 5) + 0.2 * np.sin(t / 2.3))
+    step = 0.1 * (1.5 + 0.5 * np.sin(t / 7))
+    poses = se3.from_rotation_translation(
+        se3.exp_so3(yaw[:, None] * [0.0, 0.0, 1.0]),
+        np.cumsum(step[:, None] * np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], axis=1), axis=0))
+    X = np.eye(4)
+    X[:3, :3] = se3.rotation_from_roll_pitch_yaw(np.array([-1.57, 0.02, -1.57]))
+    X[:3, 3] = [0.8, 0.1, -0.3]
+    b = se3.inverse(X) @ poses @ X
+    b[:, :3, 3] = np.round(b[:, :3, 3], 6)
+    a = replace(RUN.a, stamps_ns=np.rint(1e9 * t).astype(np.int64), poses=poses)
+    assert found(a, replace(a, poses=b, sensor_frame='b'), 'extrinsic-unsteady') == []
+
+
 @thinned('seeds', 1, 3)
 @pytest.mark.parametrize('scenario', ['offroad', 'road', 'drone', 'handheld'])
 def test_sound_drives_have_no_such_finding(scenario, seeds):

@@ -41,6 +41,7 @@ _PARTS, _LEAST_PARTS, _FEWEST = 24, 4, 5
 _CORRELATED = 2
 # Unknowns: the rotation and the translation of the pose, the logarithm of the scale.
 _UNKNOWNS = 7
+_KINDS = (0, 3, 6)
 _ROUNDS = 6
 # Directions with a smaller share of the information than this are not compared.
 _UNSEEN = 1e-6
@@ -114,7 +115,11 @@ def _change(
     H: FloatArray, g: FloatArray, course: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the (7,) change by a (P,) course, and its ``|t|`` in terms of the limit."""
-    unit = np.sqrt(np.maximum(np.diagonal(H.sum(axis=0)), np.finfo(float).tiny))
+    told = np.diagonal(H.sum(axis=0))
+    most = np.maximum.reduceat(told, _KINDS)[[0, 0, 0, 1, 1, 1, 2]]
+    # What no motion tells of, such as the height of a flat drive, stays next to nothing.
+    unit = np.sqrt(np.maximum(np.where(told > _UNSEEN**2 * most, told, most),
+                              np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit
     # What holds at the beginning, and the change.
     columns = np.stack([np.ones(_PARTS), course])
