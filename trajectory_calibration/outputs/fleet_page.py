@@ -87,7 +87,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str
             plot.line([left, right], [mean, mean], 'mean')
             if n:
                 plot.vertical(left, 'change')
-            reading.append(f'{mean:.3f} ± {mean_std[n][k]:.2g} {unit}')
+            reading.append(f'{mean:.3f} ± {mean_std[n][k]:#.2g} {unit}')
         for i in known:
             plot.error_bar(
                 places[i], values[i, k], std[i, k],
