@@ -99,7 +99,7 @@ def _box(rig: RigResult) -> str:
                      clock_text(sensor), scale_text(sensor))
             rows.append(tuple(cell.replace('+-', '±') for cell in cells))
     head = (*('sensor', 'in')[:len(rig.trees)], 'x, m', 'y, m', 'z, m', 'roll, deg',
-            'pitch, deg', 'yaw, deg', 'clock, ms', 'scale')
+            'pitch, deg', 'yaw, deg', 'clock offset, ms', 'scale')
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
     return verdict_section(
         style, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
