@@ -9,7 +9,7 @@ standard deviation is large. The limits are settings, the words are for the driv
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -34,12 +34,9 @@ _DOMINATED = 0.5
 # Within this angle of an axis, its name says more than three numbers.
 _NEAR_AXIS = np.cos(np.deg2rad(18.0))
 
-# Turns about one axis move the sensor along it by less than this share of what they do across;
-# by less than the smaller share, it hardly turned about another one.
-_SINGLE, _HARDLY_OTHERS = 0.5, 0.05
-
-# Turns about the other axes that correlate by more than this between the sensors are no noise.
-_SHARED = 0.5
+# The motion turned about one axis only where what both sensors turned about any other is less
+# than this share of it, root mean square.
+_SINGLE = 0.2
 
 # A rotation that is uncertain by this much about every axis, degrees, is not known at all.
 _LOST = 10.0
@@ -87,6 +84,7 @@ class Observability:
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
     translation_axes : three unit vectors in a, weakest first.
+    single_axis : unit vector in a, where the motion turned about one axis only; else empty.
     findings : the weak directions in words.
 
     """
@@ -96,7 +94,13 @@ class Observability:
     excitation_deg: tuple[float, ...]
     translation_gain: tuple[float, ...]
     translation_axes: tuple[tuple[float, ...], ...]
+    single_axis: tuple[float, ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    @property
+    def hardly_turned(self) -> bool:
+        """Return whether no motion turned by more than noise does."""
+        return bool(np.linalg.norm(self.excitation_deg) < _HARDLY)
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -121,6 +125,7 @@ class Observability:
             'excitation_deg': list(self.excitation_deg),
             'translation_gain': list(self.translation_gain),
             'translation_axes': [list(axis) for axis in self.translation_axes],
+            'single_axis': list(self.single_axis),
             'warnings': [found.text for found in self.findings],
         }
 
@@ -136,6 +141,7 @@ class Observability:
             _floats(data['excitation_deg']),
             _floats(data['translation_gain']),
             tuple(map(_floats, data['translation_axes'])),
+            _floats(data.get('single_axis', ())),
             tuple(findings))
 
 
@@ -158,15 +164,14 @@ def observe(
     R = motions.A[:, :3, :3]
     excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
     gain, axes = translation_gain(R)
-    weak_axes = _weak_axes(covariance, config)
-    single = axes[0] if _is_single(motions, gain, axes[0]) else None
-    return Observability(
+    found = Observability(
         _status(by_motion, covariance, config),
-        weak_axes,
+        _weak_axes(covariance, config),
         tuple(excitation.tolist()),
         tuple(gain.tolist()),
         tuple(tuple(axis) for axis in axes.tolist()),
-        _describe(weak_axes, single, float(np.linalg.norm(excitation)), frame))
+        _single_axis(motions))
+    return replace(found, findings=_describe(found, frame))
 
 
 def require_motion_beyond_noise(
@@ -209,18 +214,13 @@ def axis_name(axis: FloatArray) -> str:
     return f'({", ".join(f"{value:.2f}" for value in axis)})'
 
 
-def _is_single(motions: MotionPairs, gain: FloatArray, axis: FloatArray) -> bool:
-    """Tell whether turns about one (3,) axis are all that the motion has, but for noise.
-
-    Where both sensors saw the other turns, it is not the motion that lacks them.
-    """
-    if not _HARDLY_OTHERS * gain[1] <= gain[0] < _SINGLE * gain[1]:
-        return bool(gain[0] < _HARDLY_OTHERS * gain[1])
+def _single_axis(motions: MotionPairs) -> tuple[float, ...]:
+    """Return the axis in a of all turns but noise, which the two sensors do not share."""
     turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
-    turn_b = turn_b @ se3.nearest_rotation(turn_a.T @ turn_b).T
-    other_a, other_b = (turn - np.outer(turn @ axis, axis) for turn in (turn_a, turn_b))
-    both = float(np.linalg.norm(other_a) * np.linalg.norm(other_b))
-    return bool(np.sum(other_a * other_b) <= _SHARED * both)
+    shared = turn_a.T @ turn_b
+    # Turned into the axes of a, the product is symmetric.
+    squares, axes = np.linalg.eigh(shared @ se3.nearest_rotation(shared).T)
+    return tuple(_pointed(axes.T)[2]) if squares[1] <= _SINGLE**2 * squares[2] else ()
 
 
 def limits_of(config: CalibrationConfig) -> FloatArray:
@@ -284,20 +284,16 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
     return tuple(found)
 
 
-def _describe(
-    items: Iterable[WeakAxis], single: FloatArray | None, turned: float, frame: str,
-) -> tuple[Finding, ...]:
-    """Return what a driver needs to know: one finding for all directions with one cause.
-
-    ``single`` is the axis of nearly all turns, or None; ``turned`` is their size in degrees.
-    """
+def _describe(observed: Observability, frame: str) -> tuple[Finding, ...]:
+    """Return what a driver needs to know: one finding for all directions with one cause."""
+    single = np.array(observed.single_axis or (0.0, 0.0, 0.0))
     causes: dict[tuple[str, str], list[WeakAxis]] = {}
-    for item in items:
+    for item in observed.weak_axes:
         if item.status == WEAK:
             why = _MORE[item.kind]
-        elif turned < _HARDLY:
+        elif observed.hardly_turned:
             why = 'hardly turned. Drive curves, and a ramp or a bank'
-        elif single is not None and abs(single @ item.axis) > _NEAR_AXIS:
+        elif abs(single @ item.axis) > _NEAR_AXIS:
             why = f'turned about {axis_name(single)} only. Drive a ramp or a bank'
         else:
             why = 'noise too large for the motion. Turn more'

@@ -7,8 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from trajectory_calibration.assessment.observability import (
     DEGREES_OF_FREEDOM,
     Observability,
@@ -39,13 +37,6 @@ NOT_KNOWN = 'not in the result'
 
 # With fewer known directions an extrinsic resembles the inverse of another one by chance.
 _FEWEST_DIRECTIONS = 2
-
-# Root mean square rotation of a motion below which a vehicle hardly turned, degrees.
-_HARDLY = 0.2
-
-# The turns about one axis move the sensor along it by less than this share of what they do
-# across: the vehicle turned about that axis only.
-_SINGLE = 0.3
 
 # Findings of data whose answer confirms nothing and contradicts nothing.
 _NO_EVIDENCE = {'orientations-identical', 'poses-identical', 'worlds-differ'}
@@ -219,9 +210,8 @@ def _is_inverse(
 
 def _needs(observability: Observability) -> str:
     """Return what the motion lacked."""
-    gain = observability.translation_gain
-    if np.linalg.norm(observability.excitation_deg) < _HARDLY:
+    if observability.hardly_turned:
         return 'curves, and a ramp or a bank: the vehicle hardly turned'
-    if gain[0] < _SINGLE * gain[1]:
+    if observability.single_axis:
         return 'turns about another axis, as on a ramp or a bank'
     return 'a longer drive, or sharper turns'

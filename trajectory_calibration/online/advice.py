@@ -22,9 +22,6 @@ from trajectory_calibration.result import CalibrationResult
 # Seconds of motion of both sensors below which no calibration is tried.
 FEWEST_S = 5
 
-# Turns about one axis are all there is where those about the others are less than this share.
-_SINGLE = 0.1
-
 # A standard deviation so many times its limit is no number worth naming.
 _HOPELESS = 100.0
 
@@ -114,14 +111,14 @@ def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray
 
 def _manoeuvre(worst: int, result: CalibrationResult) -> str:
     """Return what to drive, or to give, for the worst component."""
-    turned = np.array(result.observability.excitation_deg)
-    weakest, middle, most = np.argsort(turned)
-    if turned[most] and turned[middle] <= _SINGLE * turned[most]:
+    observed = result.observability
+    if observed.hardly_turned:
+        return 'drive curves, and a ramp or a bank'
+    if observed.single_axis:
+        most = int(np.argmax(np.abs(observed.single_axis)))
         if worst == most:
             return ('drive a ramp or a bank, or give prior_translation along '
                     f'{"xyz"[most]} of {result.frame_a}')
         if worst == 3 + most:
             return 'drive farther, not on the spot, and curves both ways'
-    if not turned[most]:
-        return 'drive curves, and a ramp or a bank'
-    return f'turn more about {"xyz"[weakest]} of {result.frame_a}'
+    return f'turn more about {"xyz"[np.argmin(observed.excitation_deg)]} of {result.frame_a}'
