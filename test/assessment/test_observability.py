@@ -132,6 +132,16 @@ def test_one_number_is_advised_along_an_axis_only():
     assert ' add --prior-translation=X,Y,Z ' in aslant.text
 
 
+def test_noise_is_no_turn_about_another_axis():
+    noise = Noise(white=0.002, white_rotation=0.06)
+    for motion, single in ((Unicycle(ground=flat), True), (Unicycle(), False)):
+        scenario = with_noise(Scenario(motion=motion), noise, noise)
+        found = calibrated(scenario, 1, solver='park', reference='B5')[0].observability
+        # To one sensor alone both drives look alike.
+        assert found.translation_gain[0] > 0.25 * found.translation_gain[1]
+        assert bool(found.single_axis) == single
+
+
 def test_directions_with_one_cause_are_one_finding_of_two_lines():
     found, = calibrate(*at_rest_or_straight_ahead(1, speed=2.0)).observability.findings
     assert found.text.startswith(

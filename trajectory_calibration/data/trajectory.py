@@ -26,6 +26,8 @@ ROTATION_TOLERANCE = 1e-2
 # enough that squares and differences keep their digits in all that follows.
 MAX_POSITION = 1e9
 
+# A step longer than this many usual ones, and half a second, is a gap, in which nothing is known.
+_GAP_STEPS, _GAP_NS = 5.0, 500_000_000
 
 # Time begins anew where it goes back by more than this, nanoseconds, in parts of so many poses.
 _ANEW_NS, _FEWEST_OF_A_PART = 1_000_000_000, 10
@@ -190,6 +192,16 @@ class Trajectory:
     def usual_step_ns(self) -> float:
         """Median of the times from each pose to the next, nanoseconds."""
         return float(np.median(np.diff(self.stamps_ns)))
+
+    @property
+    def longest_step_ns(self) -> float:
+        """Return what a step is at most, nanoseconds; in a longer one nothing is known."""
+        return max(_GAP_STEPS * self.usual_step_ns, _GAP_NS)
+
+    @cached_property
+    def gaps(self) -> NDArray[np.bool_]:
+        """(N - 1,), whether the step from each pose to the next is a gap."""
+        return np.diff(self.stamps_ns) > self.longest_step_ns
 
     @cached_property
     def turns(self) -> FloatArray:

@@ -26,9 +26,6 @@ _WINDOW_NS = 2_000_000_000
 _NOTHING = 0.02
 _WEAK = 0.1
 
-# A step between poses this many times the usual one is a gap.
-_GAP_FACTOR = 5.0
-
 
 def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str, Any]:
     """Describe a trajectory, and judge whether its motion can determine an extrinsic.
@@ -36,7 +33,6 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str
     Return plain data for JSON, with the unit in each name.
     """
     steps_s = np.diff(trajectory.stamps_ns) * 1e-9
-    usual_s = float(np.median(steps_s))
     rotations = _motions_over_window(trajectory)
     turned = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
     motion, advice = _judge(*translation_gain(rotations))
@@ -53,8 +49,8 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str
         'start_s': float(trajectory.stamps_ns[0]) * 1e-9,
         'duration_s': trajectory.duration_s,
         # Of the median step.
-        'rate_hz': 1.0 / usual_s,
-        'gaps': int(np.count_nonzero(steps_s > _GAP_FACTOR * usual_s)),
+        'rate_hz': 1e9 / trajectory.usual_step_ns,
+        'gaps': int(np.count_nonzero(trajectory.gaps)),
         'longest_gap_s': float(steps_s.max()),
         # Noise adds to it.
         'path_length_m': float(

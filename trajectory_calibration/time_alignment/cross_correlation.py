@@ -20,10 +20,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.time_alignment.rotation_increments import (
-    largest_gain,
-    longest_step_ns,
-)
+from trajectory_calibration.time_alignment.rotation_increments import largest_gain
 
 # Cells of the grid, at the most.
 _MAX_CELLS = 2**18
@@ -151,7 +148,7 @@ def _without_pauses(
     too long to tell anything. What is left of a pause is a gap of both, longer than any offset, so
     that nothing is compared across it.
     """
-    longest_ns = 2 * int(max(max_offset_s * 1e9, longest_step_ns(a), longest_step_ns(b)))
+    longest_ns = 2 * int(max(max_offset_s * 1e9, a.longest_step_ns, b.longest_step_ns))
     # Two ascending runs: a stable sort merges them. Stamps that both have do no harm.
     both = np.sort(np.concatenate([a.stamps_ns, b.stamps_ns]), kind='stable')
     cut = np.concatenate([[0], np.cumsum(np.maximum(np.diff(both) - longest_ns, 0))]) + both[0]
@@ -180,8 +177,7 @@ def _turned_in_cells(
     inside = ((edges[:-1] >= max(int(stamps_ns[0]), common[0]))
               & (edges[1:] <= min(int(stamps_ns[-1]), common[1])))
     left = np.clip(np.searchsorted(stamps_ns, edges, side='right') - 1, 0, len(stamps_ns) - 2)
-    gap = np.diff(stamps_ns) > longest_step_ns(trajectory)
-    known = inside & ~gap[left[:-1]] & ~gap[left[1:]]
+    known = inside & ~trajectory.gaps[left[:-1]] & ~trajectory.gaps[left[1:]]
     return np.diff(at_edges, axis=0) * known[:, None], known
 
 

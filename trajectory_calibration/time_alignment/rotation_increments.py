@@ -15,10 +15,6 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# A step longer than this many usual ones (and half a second) is a gap, in which nothing is known.
-_GAP_FACTOR = 5.0
-_GAP_NS = 500_000_000
-
 # Length of the windows, in cells and nanoseconds; of more than twice this many some are used.
 _WINDOW_CELLS = 2
 _WINDOW_NS = 300_000_000
@@ -198,14 +194,9 @@ def is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
     return abs(value) > max(_SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
 
 
-def longest_step_ns(trajectory: Trajectory) -> float:
-    """Return what a step is at most; a longer one is a gap."""
-    return max(_GAP_FACTOR * trajectory.usual_step_ns, _GAP_NS)
-
-
 def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
     """Tell which times lie in no gap of a, and no nearer to its ends than ``reach``."""
     stamps = a.stamps_ns
     inside = (times - reach >= stamps[0]) & (times + reach <= stamps[-1])
     left = np.clip(np.searchsorted(stamps, times, side='right') - 1, 0, len(stamps) - 2)
-    return inside & (stamps[left + 1] - stamps[left] <= longest_step_ns(a))
+    return inside & ~a.gaps[left]

@@ -7,13 +7,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.cross_correlation import correlate
-from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
 
 # Seconds of the part that is drawn, and points in it.
 _PART_S, _POINTS = 30.0, 300
@@ -58,11 +56,6 @@ def _seconds(trajectory: Trajectory, start: int) -> FloatArray:
     return (trajectory.stamps_ns - start).astype(np.float64) * 1e-9
 
 
-def _gaps(trajectory: Trajectory) -> NDArray[np.bool_]:
-    """Return (N - 1,), the steps in which a sensor has no poses."""
-    return np.diff(trajectory.stamps_ns) > longest_step_ns(trajectory)
-
-
 def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
     """Return times of the part of the common time in which both turned most."""
     times_a, times_b = _seconds(a, start), _seconds(b, start)
@@ -74,7 +67,7 @@ def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
     turned = []
     for trajectory, times in ((a, times_a), (b, times_b)):
         # A rotation in a gap of one cannot be compared.
-        angle = np.where(_gaps(trajectory), 0.0, np.linalg.norm(trajectory.turns, axis=1))
+        angle = np.where(trajectory.gaps, 0.0, np.linalg.norm(trajectory.turns, axis=1))
         total = np.concatenate([[0.0], np.cumsum(angle)])
         turned.append(np.interp(begins + length, times, total) - np.interp(begins, times, total))
     begin = begins[np.argmax(np.minimum(*turned))]
@@ -89,7 +82,7 @@ def _rate(trajectory: Trajectory, seconds: FloatArray, start: int, window_s: flo
     R, took = trajectory.rotations, times[last] - times[first]
     angle = se3.rotation_angle(np.swapaxes(R[first], 1, 2) @ R[last])
     known = (seconds >= times[0]) & (seconds <= times[-1]) & (
-        took < longest_step_ns(trajectory) * 1e-9 + window_s)
+        took < trajectory.longest_step_ns * 1e-9 + window_s)
     return np.where(known, np.rad2deg(angle) / took, np.nan)
 
 
@@ -105,5 +98,5 @@ def _correlate(a: Trajectory, b: Trajectory, usual_s: float) -> tuple[FloatArray
 
 def _spans(trajectory: Trajectory, start: int) -> FloatArray:
     """Return (S, 2) seconds without a gap."""
-    times, gaps = _seconds(trajectory, start), _gaps(trajectory)
+    times, gaps = _seconds(trajectory, start), trajectory.gaps
     return np.column_stack([times[np.append(True, gaps)], times[np.append(gaps, True)]])

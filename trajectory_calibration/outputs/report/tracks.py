@@ -21,7 +21,6 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.align import match_at
 from trajectory_calibration.time_alignment.clock_offset import Clock
-from trajectory_calibration.time_alignment.rotation_increments import longest_step_ns
 
 # A step in which the tracks part by this many usual ones is a jump, also where no solver says so.
 _JUMP = 12.0
@@ -162,9 +161,8 @@ def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
     """Return the indices of the pairs after which one of the sensors has a gap."""
     middles = []
     for trajectory in trajectories:
-        steps = np.diff(trajectory.stamps_ns)
-        long = np.flatnonzero(steps > longest_step_ns(trajectory))
-        middles.append(trajectory.stamps_ns[long] + steps[long] // 2)
+        long = np.flatnonzero(trajectory.gaps)
+        middles.append(trajectory.stamps_ns[long] + np.diff(trajectory.stamps_ns)[long] // 2)
     middle = np.concatenate(middles)
     inside = middle[(middle > pairs.stamps_ns[0]) & (middle < pairs.stamps_ns[-1])]
     return np.unique(np.searchsorted(pairs.stamps_ns, inside) - 1)
