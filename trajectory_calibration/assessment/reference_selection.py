@@ -127,9 +127,9 @@ def _shown(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, fl
 def _explanation(best: str, expected: dict[str, float]) -> str:
     others = [name for name in expected if name != best]
     named = others[::max(1, -(-len(others) // _NAMED))]
-    text = f'{best}: predicted {_length(expected[best])}'
+    text = f'{best}: predicted error {_length(expected[best])}'
     if named:
-        text += '; ' + ', '.join(f'{name} {_length(expected[name])}' for name in named)
+        text += '; of others: ' + ', '.join(f'{name} {_length(expected[name])}' for name in named)
     return text
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Median speed, metres a second, above which no ground vehicle and hardly a drone moves.
@@ -71,8 +72,8 @@ def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
         return ()
     return (Finding(
         'length-unit',
-        f'{trajectory.sensor_frame}: its median speed is {speed:.3g} m/s: are its positions in '
-        'metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed}),)
+        f'{trajectory.sensor_frame}: its median speed is {rounded(speed)} m/s: are its positions '
+        'in metres? Divide millimetres by 1000', {'median_speed_m_per_s': speed}),)
 
 
 def unit_doubts(scale: float, frame: str) -> tuple[Finding, ...]:

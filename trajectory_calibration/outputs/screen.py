@@ -116,8 +116,8 @@ def details(result: CalibrationResult) -> dict[str, str]:
     rows['fit residual'] = (
         f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
         f'{reference_words(reference)} (not the accuracy)')
-    rows['rotation'] = (f'{_turned(result.observability.excitation_deg)} deg rms per '
-                        f'motion, about the axes of {a}')
+    rows['turned about'] = (f'{_turned(result.observability.excitation_deg)} deg rms per '
+                            f'motion, axes of {a}')
     rows['data'] = _describe_data(result)
     diagnosis = result.diagnosis or {}
     if result.scale != 1.0:
@@ -181,7 +181,7 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
             **({'read as': item['read_as']} if item.get('read_as') else {}),
             'frames': ('not named in the file' if item['sensor_frame'] is None
                        else f'{item["sensor_frame"]} in {item["world_frame"]}'),
-            'poses': f'{item["poses"]}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
+            'poses': f'{item["poses"]:,}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',
             'time': f'{item["duration_s"]:.3f} s from {item["start_s"]:.3f}',
             'path': f'{item["path_length_m"]:.2f} m',
             'turned about': f'{_turned(item["turned_deg"])} deg rms in 2 s',

@@ -256,7 +256,7 @@ class FileSource:
             count = int(np.count_nonzero(found))
             if count:
                 raw.findings.append(Finding(
-                    'poses-lost', f'dropped {count} of {counted(len(lost), "pose")}{why}',
+                    'poses-lost', f'dropped {count:,} of {counted(len(lost), "pose")}{why}',
                     {'poses': count}))
         keep: NDArray[np.bool_] = ~lost & ~identity
         if np.count_nonzero(keep) < 2:
