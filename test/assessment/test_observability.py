@@ -13,7 +13,9 @@ from trajectory_calibration.assessment.observability import (
     Observability,
     observe,
 )
+from trajectory_calibration.config.yaml_file import parse_yaml, to_yaml
 from trajectory_calibration.data.motion_pairs import select_motions
+from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import (
     flat,
@@ -140,6 +142,8 @@ def test_noise_is_no_turn_about_another_axis():
         # To one sensor alone both drives look alike.
         assert found.translation_gain[0] > 0.25 * found.translation_gain[1]
         assert bool(found.single_axis) == single
+        # It can be saved: YAML knows no number of NumPy.
+        assert parse_yaml(to_yaml(found.to_dict()), '', ResultError) == found.to_dict()
 
 
 def test_directions_with_one_cause_are_one_finding_of_two_lines():

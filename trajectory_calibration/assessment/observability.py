@@ -220,7 +220,7 @@ def _single_axis(motions: MotionPairs) -> tuple[float, ...]:
     shared = turn_a.T @ turn_b
     # Turned into the axes of a, the product is symmetric.
     squares, axes = np.linalg.eigh(shared @ se3.nearest_rotation(shared).T)
-    return tuple(_pointed(axes.T)[2]) if squares[1] <= _SINGLE**2 * squares[2] else ()
+    return tuple(_pointed(axes.T)[2].tolist()) if squares[1] <= _SINGLE**2 * squares[2] else ()
 
 
 def limits_of(config: CalibrationConfig) -> FloatArray:
