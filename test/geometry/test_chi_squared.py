@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Our chi-squared and Student's functions agree with SciPy's."""
+"""Our chi-squared, F and Student's functions agree with SciPy's."""
 
 import pytest
-from scipy.stats import chi2, t
+from scipy.stats import chi2, f, t
 
 from trajectory_calibration.geometry import chi_squared
 
@@ -29,3 +29,12 @@ def test_quantiles_of_student_are_those_of_scipy(k):
     for probability in (0.5, 0.05, 1e-3, 1e-6, 1e-8):
         assert chi_squared.student_quantile(k, probability) == pytest.approx(
             t.isf(probability / 2, k), rel=1e-6)
+
+
+@pytest.mark.parametrize('of_noise', [1, 3.5, 24, 96, 5000])
+@pytest.mark.parametrize('k', [1, 2, 5, 6])
+def test_probabilities_of_a_ratio_are_those_of_scipy(k, of_noise):
+    for value in (0.01, 1.0, 6.0, 33.0, 400.0):
+        assert chi_squared.exceedance_of_ratio(value, k, of_noise) == pytest.approx(
+            f.sf(value / k, k, of_noise), rel=1e-9)
+    assert chi_squared.exceedance_of_ratio(-1.0, k, of_noise) == 1.0

@@ -5,14 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
+from trajectory_calibration.geometry.chi_squared import (
+    exceedance,
+    exceedance_of_ratio,
+    FALSE_ALARM,
+)
 from trajectory_calibration.geometry.observed import without
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.fusion import Fused
@@ -190,13 +193,13 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
         jumps = [(sample, jump, *told)
                  for sample, jump in _jumps(noise[best], steps, samples, s, half)
                  if (told := _change(*evidence, sample // size, sample // size + 1)) is not None]
-        for sample, jump, change, weight in (*tried, *jumps):
+        for sample, jump, change, weight, of_noise in (*tried, *jumps):
             chi_squared = float(change @ weight @ change)
-            p_value = exceedance(chi_squared, degrees) * len(tried)
+            p_value = exceedance_of_ratio(chi_squared, degrees, of_noise) * len(tried)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.
-                p_value = math.erfc(math.sqrt(max(chi_squared, 0.0) / 2)) / 2 * len(jumps)
+                p_value = exceedance_of_ratio(chi_squared, 1, of_noise) / 2 * len(jumps)
             found.append((
                 min(1.0, p_value * len(tree.names)), -chi_squared, 1 if jump is not None else
                 degrees, s, sample, change if jump is None else jump))
@@ -286,8 +289,11 @@ def _against(
 
 def _change(
     score: FloatArray, information: FloatArray, free: FloatArray, until: int, since: int,
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight."""
+) -> tuple[FloatArray, FloatArray, int] | None:
+    """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight.
+
+    Also the degrees of freedom with which the noise in the weight was estimated.
+    """
     known = np.trace(information, axis1=1, axis2=2) > 0
     parts = (slice(None, until), slice(since, None))
     if min(np.count_nonzero(known[part]) for part in parts) < _AROUND:
@@ -302,9 +308,10 @@ def _change(
     used = np.concatenate([information[part][known[part]] for part in parts])
     scatter = np.einsum(
         'bi,bi->', left, np.linalg.solve(used + untold, left[:, :, None])[:, :, 0])
-    inflation = max(1.0, float(scatter) / (6 * (len(left) - 2)))
+    of_noise = 6 * (len(left) - 2)
+    inflation = max(1.0, float(scatter) / of_noise)
     weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
-    return x[1] - x[0], without(weight, free)
+    return x[1] - x[0], without(weight, free), of_noise
 
 
 def describe_step(step: FloatArray) -> str:
