@@ -144,6 +144,17 @@ def test_noise_is_identified():
     np.testing.assert_allclose(diagnosis.walk_rad, 0.003 * np.sqrt(2), rtol=0.25)
 
 
+def test_what_motions_differ_by_is_told_by_time_scale():
+    pairs, T_a_b = simulated(5, poses=1000, white=(0.01, 0.004), walk=(0.02, 0.003))
+    apart = np.array(solve_pairs(pairs, AUTO).diagnosis.apart)
+    steps = np.diff(pairs.stamps_ns) * 1e-9
+    for seconds, _, radians in apart[:7]:
+        k = round(seconds / steps[0])
+        A, B = (se3.inverse(poses[:-k]) @ poses[k:] for poses in (pairs.poses_a, pairs.poses_b))
+        left = se3.log_se3(se3.inverse(A @ T_a_b) @ T_a_b @ B)[:, 3:]
+        np.testing.assert_allclose(radians, np.sqrt(np.mean(left**2)), rtol=0.2)
+
+
 def test_jumps_are_named_and_set_aside():
     size = np.array([0.2, -0.2, 0.1])
     pairs, T_a_b = simulated(6, white=(0.002, 0.001), jumps=[(40, size), (90, -2 * size)])

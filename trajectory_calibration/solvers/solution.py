@@ -64,6 +64,8 @@ class Diagnosis:
     ----------
     white_m, white_rad : standard deviation of the white noise of a pose, for each sensor.
     walk_m, walk_rad : of what both drift apart in a metre; it grows with the root of the way.
+    apart : by time scale, seconds, the standard deviation of what the motions of the two differ
+        by along and about an axis, metres and radians, tails included.
     jumps : steps in which the trajectories part, the largest first.
     scale, scale_deviation : metres of a per metre of b; the deviation is None where the scale
         was fixed. Likewise the following.
@@ -79,6 +81,7 @@ class Diagnosis:
     white_rad: float
     walk_m: float
     walk_rad: float
+    apart: tuple[tuple[float, float, float], ...]
     jumps: tuple[Jump, ...]
     scale: float
     scale_deviation: float | None

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,8 +43,8 @@ class Tracks:
     ``seconds`` from the first pair, ``path_m`` driven by a until then, ``distance_m`` and
     ``angle_deg`` between the two. Indices of the poses after ``jumps``, (J,), and before
     ``gaps`` of either sensor, (G,); ``usable``, (K - 1,), are steps without a jump. ``noise``,
-    (2, 2), has variances of translation and rotation, of both sensors together and one axis: of a
-    pose, and of what is added in a metre.
+    (S, 3), has by time scale, seconds, the deviations of what the motions of both differ by, along
+    and about an axis, metres and radians.
     """
 
     pairs: PosePairs
@@ -83,18 +83,22 @@ class Tracks:
         The noise of the first pose reaches the translation through the length of the motion, that
         of the way through a third of its square.
         """
-        way = _way(self.pairs.poses_b)
         Ad = se3.adjoint(T_a_b)
-        # Half of it is of each sensor, in its own axes.
-        white, walk = (0.5 * (own + Ad @ own @ Ad.T) for own in (
-            np.diag(np.repeat(variances, 3)) for variances in self.noise))
+        # Half of a variance of translation, and of rotation, is of each sensor, in its own axes.
+        unit = np.stack([0.5 * (own + Ad @ own @ Ad.T) for own in np.stack([
+            np.diag(np.repeat(part, 3)) for part in ([1.0, 0.0], [0.0, 1.0])])])
+        seconds = self.seconds[j] - self.seconds[i]
+        both = np.stack([np.interp(seconds, self.noise[:, 0], variance)
+                         for variance in self.noise[:, 1:].T**2], axis=-1)
+        pose = 0.5 * self.noise[0, 1:]**2
+        white = np.tensordot(pose, unit, axes=1)
+        drift = np.tensordot(np.maximum(both - 2 * pose, 0.0), unit, axes=1)
         far = se3.adjoint(se3.inverse(A))
         near = A.copy()
         near[:, :3, 3] /= np.sqrt(3.0)
         Ad = se3.adjoint(se3.inverse(near))
-        drift = np.abs(way[j] - way[i])[:, None, None] * (
-            Ad @ walk @ np.swapaxes(Ad, 1, 2))
-        return white + far @ white @ np.swapaxes(far, 1, 2) + drift
+        return (white + far @ white @ np.swapaxes(far, 1, 2)
+                + Ad @ drift @ np.swapaxes(Ad, 1, 2))
 
 
 def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
@@ -120,7 +124,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     return Tracks(
         pairs, poses_c,
         seconds=(pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9,
-        path_m=_way(pairs.poses_a),
+        path_m=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p_a, axis=0), axis=1))]),
         distance_m=np.linalg.norm(p_a - p_c, axis=1),
         angle_deg=np.rad2deg(se3.rotation_angle(apart)),
         jumps=jumps, usable=usable, gaps=_gaps(pairs, a, b),
@@ -128,33 +132,23 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
 
 
 def _noise(result: CalibrationResult, pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
-    """Return the (2, 2) noise of ``Tracks``, as the solver that identifies it has it."""
-    found = result.diagnosis
-    if found is None:
+    """Return the (S, 3) noise of ``Tracks``, as the solver that identifies it has it."""
+    apart = (result.diagnosis or {}).get('apart')
+    if apart is None:
         with suppress(MotionError, SolverError):
             known = most_likely(pairs, result.config).diagnosis
-            found = None if known is None else asdict(known)
-    if found is None:
+            apart = None if known is None else known.apart
+    if apart is None:
         # Too few poses for a model: what the steps differ by.
-        pose = 0.5 * np.mean(_parted(pairs.poses_a, poses_c).reshape(-1, 2, 3)**2, axis=(0, 2))
-        noise = np.array([pose, 0 * pose])
-    else:
-        # Both sensors are as noisy.
-        noise = np.array([[2 * found['white_m']**2, 2 * found['white_rad']**2],
-                          [found['walk_m']**2, found['walk_rad']**2]])
-    return np.maximum(noise, [[_LEAST_NOISE**2], [0.0]])
+        steps = _parted(pairs.poses_a, poses_c).reshape(-1, 2, 3)
+        apart = [[0.0, *np.sqrt(np.mean(steps**2, axis=(0, 2)))]]
+    return np.maximum(apart, [0.0, _LEAST_NOISE, _LEAST_NOISE])
 
 
 def _parted(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
     """Return (K - 1, 6), by how much the steps of two differ."""
     A, C = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (poses_a, poses_c))
     return se3.log_se3(se3.inverse(A) @ C)
-
-
-def _way(poses: FloatArray) -> FloatArray:
-    """Return (K,) metres driven until each pose."""
-    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:

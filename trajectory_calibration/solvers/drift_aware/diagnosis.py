@@ -44,12 +44,14 @@ def diagnose(
     deviation = np.sqrt(np.diag(covariance))
     terms = fit.state.terms
     scale = unit * float(np.exp(terms[SCALE - 6]))
-    white, walk = _white_and_walk(fit)
+    between = _between_worlds(fit)
+    white, walk = _white_and_walk(fit, between)
     return Diagnosis(
         white_m=float(white[0]),
         white_rad=float(white[1]),
         walk_m=float(walk[0]),
         walk_rad=float(walk[1]),
+        apart=_apart(fit, between),
         jumps=_jumps(fit, stamps_ns),
         scale=scale,
         scale_deviation=scale * float(deviation[SCALE]) if fit.free[SCALE] else None,
@@ -64,26 +66,42 @@ def diagnose(
     )
 
 
-def _white_and_walk(fit: Fit) -> tuple[FloatArray, FloatArray]:
+def _between_worlds(fit: Fit) -> FloatArray:
+    """Return (octaves, 2), the noise between worlds; what the scale varies is noise of the way."""
+    octaves = fit.tree.octaves
+    n = np.bincount(fit.tree.octave, minlength=octaves)
+    along = np.bincount(fit.tree.octave, (fit.contrasts.J[:, TRANSLATION, SCALE]**2).mean(
+        axis=1), octaves) * fit.noise.of_scale(octaves) / np.maximum(n, 1)
+    result: FloatArray = fit.noise.walk[:octaves] + along[:, None] * [1.0, 0.0]
+    return result
+
+
+def _white_and_walk(fit: Fit, between: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (2,) deviations of white noise of one sensor, and of the walk after a metre.
 
     A walk of variance q a step makes D = 2^octave q / 2, and adds q / 2 to the white noise.
-    What the scale varies along the way walks too.
     """
-    octaves = fit.tree.octaves
-    n = np.bincount(fit.tree.octave, minlength=octaves)
-    above = np.arange(1, octaves)
-    of_walk = np.zeros(2)
-    if len(above):
-        along = np.bincount(fit.tree.octave, (fit.contrasts.J[:, TRANSLATION, SCALE]**2).mean(
-            axis=1), octaves) * fit.noise.of_scale(octaves) / np.maximum(n, 1)
-        D = fit.noise.walk[:octaves] + along[:, None] * [1.0, 0.0]
-        rate = D[above] / 2.0**above[:, None]
-        of_walk = (n[above, None] * rate).sum(axis=0) / max(n[above].sum(), 1)
+    n = np.bincount(fit.tree.octave, minlength=len(between))[1:]
+    rate = between[1:] / 2.0**np.arange(1, len(between))[:, None]
+    of_walk = (n[:, None] * rate).sum(axis=0) / max(n.sum(), 1)
     white = np.maximum(fit.noise.white - of_walk, 0.0)
     way = np.linalg.norm(fit.drive.step_b, axis=1).mean()
     # The white noise is of a pair of poses; that of each sensor has half of the variance.
     return np.sqrt(white / 2), np.sqrt(2 * of_walk / max(way, 1e-12))
+
+
+def _apart(fit: Fit, between: FloatArray) -> tuple[tuple[float, float, float], ...]:
+    """Return by octave the seconds of a motion, and the deviations of what two differ by.
+
+    Two poses have white noise each, and worlds that differ by the noise of all octaves up to
+    theirs. Student's t with nu degrees of freedom has nu / (nu - 2) times the variance of its
+    scale.
+    """
+    tail = fit.noise.tail
+    variance = tail / (tail - 2.0) * (2 * fit.noise.white + np.cumsum(between, axis=0))
+    seconds = fit.drive.step_s * 2.0**np.arange(len(between))
+    return tuple((float(s), float(m), float(rad)) for s, (m, rad) in zip(
+        seconds, np.sqrt(variance), strict=True))
 
 
 def _jumps(fit: Fit, stamps_ns: NDArray[np.int64]) -> tuple[Jump, ...]:
