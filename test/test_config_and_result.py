@@ -286,7 +286,11 @@ def test_every_file_is_whole_or_not_at_all(tmp_path, monkeypatch):
     assert path.read_text() == 'precious'
     write_text(tmp_path / 'link', 'new')
     assert (path.read_text(), (tmp_path / 'link').is_symlink()) == ('new', True)
-    write_text(Path('/dev/null'), 'x')
+    reader, writer = os.pipe()
+    write_text(Path(f'/dev/fd/{writer}'), 'x')
+    assert os.read(reader, 9) == b'x'
+    os.close(reader)
+    os.close(writer)
     assert sorted(item.name for item in tmp_path.iterdir()) == ['link', 'page.html']
 
 

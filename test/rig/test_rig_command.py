@@ -487,6 +487,17 @@ pairs: all
     assert found.config.of('camera').scale == 'free'
 
 
+def test_frames_that_exports_cannot_hold_are_named_before_the_calibration(
+        folder, tmp_path, monkeypatch, capsys):
+    def none(*_):
+        raise AssertionError('calibrated, although the exports cannot be written')
+
+    monkeypatch.setattr('trajectory_calibration.cli.rig.calibrate_rig', none)
+    (folder / 'one_frame.yaml').write_text(RIG.replace('frame: camera', 'frame: velodyne'))
+    assert main(['rig', str(folder / 'one_frame.yaml'), '--output', str(tmp_path)]) == 2
+    assert 'lidar and front both have the frame velodyne' in capsys.readouterr().err
+
+
 def test_two_sensors_of_one_frame_are_an_error(rig):
     data = rig.to_dict()
     data['sensors']['rear']['frame'] = 'camera'

@@ -32,6 +32,7 @@ from trajectory_calibration.outputs.comparison_table import (
 from trajectory_calibration.outputs.exports import EXPORT_FILES, remove_others, write_files
 from trajectory_calibration.outputs.rig_exports import (
     placements,
+    require_own_frames,
     rig_export_files,
     rig_exports,
     RIG_FILE,
@@ -111,6 +112,10 @@ def run(arguments: argparse.Namespace) -> int:
         description = RigDescription.load(arguments.rig)
         config = _configured(description.config, arguments)
         sources, trajectories = _read(description, arguments)
+        if arguments.output is not None:
+            # Exports need frames of their own: said before the calibration, not after it.
+            require_own_frames({name: config.of(name).frame or trajectory.sensor_frame
+                                for name, trajectory in trajectories.items()})
         with running_clock('calibrating'):
             rig = calibrate_rig(trajectories, config)
     # No file that cannot be written takes the answer away, and no reader that has gone the files.

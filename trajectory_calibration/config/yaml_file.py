@@ -161,10 +161,11 @@ def _write(path: Path, data: bytes, *, overwrite: bool = True, lasting: bool = F
     waits for the disk: what can be made again need not. Raises OSError and ValueError.
     """
     if overwrite:
-        path = path.resolve() if path.is_symlink() else path
         if path.exists() and not path.is_file() and not path.is_dir():
             path.write_bytes(data)
             return
+        # Not before: /dev/stdout is a link to what has no name.
+        path = path.resolve() if path.is_symlink() else path
     temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
     # Not through ``tempfile``, whose files are private: the kernel gives this one the
     # permissions of any new file of this user.

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from xml.sax.saxutils import quoteattr
 
 from trajectory_calibration.config.file_names import file_names
@@ -26,18 +27,21 @@ RIG_FILES = {
     'autoware': 'sensor_kit_calibration.yaml', 'tum': 'transforms.tum'}
 
 
+def require_own_frames(frames: Mapping[str, str]) -> None:
+    """Raise ConfigError where two sensors, by name, have one frame."""
+    owners: dict[str, str] = {}
+    for name, frame in frames.items():
+        if owners.setdefault(frame, name) != name:
+            raise ConfigError(f'{owners[frame]} and {name} both have the frame {frame}; name it '
+                              'below the sensor: "frame: NAME"')
+
+
 def placements(rig: RigResult) -> list[Placement]:
     """Return every sensor but the bases, under the frame of its base.
 
     Raises ConfigError where two sensors have one frame.
     """
-    frames: dict[str, str] = {}
-    for name, sensor in rig.sensors.items():
-        if sensor.frame in frames:
-            raise ConfigError(
-                f'{frames[sensor.frame]} and {name} both have the frame {sensor.frame}; name it '
-                'below the sensor: "frame: NAME"')
-        frames[sensor.frame] = name
+    require_own_frames({name: sensor.frame for name, sensor in rig.sensors.items()})
     return [
         Placement(
             rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
