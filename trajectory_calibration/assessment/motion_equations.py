@@ -14,6 +14,7 @@ import numpy as np
 from trajectory_calibration.data.motion_pairs import lag_grid, MotionPairs, select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # Motions that begin within one lag.
@@ -23,7 +24,7 @@ _LONG = 2.5
 # Larger turns (radians) are left out: half a turn one way is half a turn the other way.
 LARGEST_TURN = 2.6
 # Degrees of freedom of Student's distribution, and the median of chi-squared of three.
-_FREEDOM, _MEDIAN = 4.0, 2.37
+_FREEDOM, _MEDIAN = 4.0, quantile(3, 0.5)
 
 
 class Moved(NamedTuple):

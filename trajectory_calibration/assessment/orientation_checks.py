@@ -32,13 +32,13 @@ _NO_LEVER, _SIGMA = 0.05, 3.0
 # Steps to the positions before and after of which the course is taken then.
 _SPAN = (2, 2)
 
-# Seconds over which a body is followed, motions, rounds of reweighting.
-_FOLLOWED_S = 0.2
+# Nanoseconds over which a body is followed, motions, rounds of reweighting.
+_FOLLOWED_NS = 200_000_000
 _MOTIONS = 400
 _ROUNDS = 4
-# Seconds over which a vehicle moves along an axis of its own, and the share of its motion that is
-# along one axis where the quaternions are in that order, and where they are not.
-_AHEAD_S = 0.5
+# Nanoseconds over which a vehicle moves along an axis of its own, and the share of its motion
+# that is along one axis where the quaternions are in that order, and where they are not.
+_AHEAD_NS = 500_000_000
 _AHEAD, _ASKEW = 0.97, 0.85
 # Metres that are rounding.
 _ROUNDING = 1e-12
@@ -135,7 +135,7 @@ def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     them. What flies, or is carried, does so in either order, and is not asked about.
     """
     R = trajectory.rotations
-    every = max(1, round(_AHEAD_S * 1e9 / trajectory.usual_step_ns))
+    every = trajectory.poses_in(_AHEAD_NS)
     step = trajectory.positions[every:] - trajectory.positions[:-every]
     at = slice(every // 2, every // 2 + len(step))
     if len(step) < _LEAST_STEPS or not step.any():
@@ -172,7 +172,7 @@ def least_steps(trajectory: Trajectory) -> tuple[float, float]:
     then stands still in either reading. Else poses as they should be move less than inverted ones,
     in which all turns swing what is far away. Both are zero where there are too few poses.
     """
-    every = max(1, round(_FOLLOWED_S * 1e9 / trajectory.usual_step_ns))
+    every = trajectory.poses_in(_FOLLOWED_NS)
     i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // _MOTIONS))
     if len(i) < 10:
         return 0.0, 0.0

@@ -63,7 +63,7 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
 
 def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the positions, where they move far too fast."""
-    every = max(1, min(round(_SPEED_SPAN_NS / trajectory.usual_step_ns), len(trajectory) - 1))
+    every = min(trajectory.poses_in(_SPEED_SPAN_NS), len(trajectory) - 1)
     way = np.linalg.norm(
         trajectory.positions[every:] - trajectory.positions[:-every], axis=1)
     time_s = (trajectory.stamps_ns[every:] - trajectory.stamps_ns[:-every]) * 1e-9

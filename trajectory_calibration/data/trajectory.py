@@ -193,6 +193,10 @@ class Trajectory:
         """Median of the times from each pose to the next, nanoseconds."""
         return float(np.median(np.diff(self.stamps_ns)))
 
+    def poses_in(self, time_ns: float) -> int:
+        """Return how many steps are about so long, at least one."""
+        return max(1, round(time_ns / self.usual_step_ns))
+
     @property
     def longest_step_ns(self) -> float:
         """Return what a step is at most, nanoseconds; in a longer one nothing is known."""

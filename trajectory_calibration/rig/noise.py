@@ -17,11 +17,12 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.windows import Level
 
 # The median of a chi-squared variable of three degrees of freedom, and where its tail is cut.
-_MEDIAN, _CUT = 2.366, 16.27
+_MEDIAN, _CUT = quantile(3, 0.5), quantile(3)
 
 # A sensor without noise still has this share of the smallest sum that it is part of.
 _FLOOR = 0.03

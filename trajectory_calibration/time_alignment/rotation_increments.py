@@ -72,7 +72,7 @@ class Turning:
 
         ``offset_ns`` is added to the stamps of b; cells of ``cell_ns`` resolve the motion.
         """
-        step = max(1, round(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS) / b.usual_step_ns))
+        step = b.poses_in(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS))
         if len(b) <= step:
             return None
         i, stride = _spread(len(b) - step)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 
 WIDTH, HEIGHT = 360, 190
@@ -27,8 +28,8 @@ _BAND_COLUMNS = 70
 _TICKS = 5
 # Arms of an axis that are no longer look at the reader.
 _SHORTEST_AXIS = 4
-# Chi-squared of two degrees of freedom that chance exceeds in one of twenty.
-_ELLIPSE = 5.991
+# Standard deviations that an ellipse reaches, which holds 95 %.
+REACH = float(np.sqrt(quantile(2, 0.05)))
 
 
 def ticks(low: float, high: float, count: int = _TICKS) -> FloatArray:
@@ -179,7 +180,7 @@ def ellipse(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, 49)[:-1]
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    return circle * np.sqrt(_ELLIPSE * np.maximum(values, 0.0)) @ vectors.T
+    return REACH * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
 
 
 class Mark(NamedTuple):

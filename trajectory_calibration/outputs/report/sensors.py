@@ -11,7 +11,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import UNOBSERVED
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.report.figures import ellipse, Scene
+from trajectory_calibration.outputs.report.figures import ellipse, REACH, Scene
 from trajectory_calibration.outputs.report.page import figure
 
 _WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
@@ -20,8 +20,8 @@ _ARM = 22
 # An ellipse smaller than this is drawn larger, and said so.
 _VISIBLE = 5.0
 _FACTORS = [factor * 10**power for power in range(4) for factor in (1, 2, 5)]
-# Standard deviations that an ellipse reaches, and least metres that fill a view.
-_REACH, _LEAST = 2.45, 0.06
+# Least metres that fill a view.
+_LEAST = 0.06
 # Share of the width from which on a name stands to the left of its sensor.
 _AT_RIGHT = 0.7
 
@@ -51,7 +51,7 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
     places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
     P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
         known[:, :, None] & known[:, None, :])
-    reach = _REACH * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+    reach = REACH * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
     low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
     extent = np.maximum(high - low, _LEAST)
     # One scale for all views; x is never upright, z never level.
