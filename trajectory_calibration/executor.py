@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from importlib import import_module
 import os
 from typing import Any, TypeVar
 
-from trajectory_calibration.errors import CalibrationError, ConfigError
+from trajectory_calibration.errors import CalibrationError, ConfigError, require
 
 BACKENDS = ('joblib', 'dask')
 
@@ -56,14 +55,14 @@ class Executor:
     ) -> Iterator[tuple[int, _Result]]:
         """Yield the number of each item and its result, whichever is done first.
 
-        ``function`` is one of a module, which processes import. Raises ConfigError where the
-        backend is not installed, or its cluster cannot be reached; CalibrationError where a
-        process was killed.
+        ``function`` is one of a module, which processes import. Raises MissingPackageError
+        where the backend is not installed, ConfigError where its cluster cannot be reached,
+        CalibrationError where a process was killed.
         """
         if not items:
             # A cluster or a pool of processes takes longer to start than there is to do.
             return
-        joblib = _load('joblib')
+        joblib = require('joblib')
         # One thread each: the linear algebra here is too small to share.
         settings = {'backend': 'dask'} if self.backend == 'dask' else {
             'backend': 'loky', 'n_jobs': self.processes, 'inner_max_num_threads': 1}
@@ -88,7 +87,7 @@ class Executor:
     def _cluster(self) -> AbstractContextManager[Any]:
         if self.backend != 'dask':
             return nullcontext()
-        distributed = _load('distributed')
+        distributed = require('distributed')
         if self.scheduler is None:
             return distributed.Client(
                 n_workers=self.processes, threads_per_worker=1, dashboard_address=None)
@@ -102,10 +101,3 @@ class Executor:
 def _numbered(function: Callable[[_Item], _Result], number: int, item: _Item) -> tuple[
         int, _Result]:
     return number, function(item)
-
-
-def _load(module: str) -> Any:
-    try:
-        return import_module(module)
-    except ModuleNotFoundError as error:
-        raise ConfigError(f'{module} is not installed; pip install {module}') from error

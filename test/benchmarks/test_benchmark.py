@@ -40,6 +40,7 @@ from benchmarks.paper.tasks import (
 )
 from trajectory_calibration.errors import (
     ConfigError,
+    MissingPackageError,
     ResultError,
     SolverError,
     SourceError,
@@ -382,7 +383,8 @@ def test_dask_gives_what_joblib_gives():
     ('joblib', Executor()), ('distributed', Executor('dask'))])
 def test_what_is_not_installed_is_named(monkeypatch, module, executor):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ConfigError, match=f'{module} is not installed; pip install {module}$'):
+    with pytest.raises(MissingPackageError,
+                       match=f'^{module} is not installed; pip install {module}$'):
         list(in_order(executor, double, [1]))
 
 

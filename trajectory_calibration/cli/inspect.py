@@ -13,7 +13,12 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.inputs import add_file_arguments, options_of
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.errors import ConfigError, SourceError
+from trajectory_calibration.errors import (
+    CalibrationError,
+    ConfigError,
+    MissingPackageError,
+    SourceError,
+)
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
@@ -48,8 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.parser.print_usage(sys.stderr)
         raise ConfigError('the following arguments are required: PATH')
     found = [_inspect(path, arguments) for path in paths]
-    inputs = [item for item in found if not isinstance(item, SourceError)]
-    errors = [item for item in found if isinstance(item, SourceError)]
+    inputs = [item for item in found if isinstance(item, dict)]
+    errors = [item for item in found if not isinstance(item, dict)]
     if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
@@ -61,11 +66,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | SourceError:
+def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | CalibrationError:
     """Describe what is at a path, or return why that cannot be done."""
     try:
         return _inspect_bag(path) if is_bag(path) else _inspect_file(path, options_of(arguments))
-    except SourceError as error:
+    except (MissingPackageError, SourceError) as error:
         return error
 
 

@@ -28,8 +28,8 @@ _LEAST = 1e-6
 # Where a rotation is open, the other axes turn with what it happens to be.
 _GAUGE_STEPS = 10
 
-# Share of shifts that are to be noticed where a resolution is stated: 95 %, normal quantile.
-_POWER = 1.645
+# Where a resolution is stated, 95 % of shifts are to be noticed: the normal quantile of it.
+_POWER = quantile(1, 0.1)**0.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import NamedTuple
 
-from trajectory_calibration.errors import SourceError
+from trajectory_calibration.errors import MissingPackageError, SourceError
 
 _OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
 
@@ -68,11 +68,11 @@ def border(note: Callable[[str], None]) -> Iterator[None]:
     """Run what a damaged file may break; hand the reason to ``note`` and go on behind it.
 
     sqlite3, struct, mmap, YAML and the decompressors raise 17 kinds of errors there, and none
-    means more than that something is damaged. A SourceError is another matter and passes.
+    means more than that something is damaged. What this package says itself passes.
     """
     try:
         yield
-    except SourceError:
+    except (MissingPackageError, SourceError):
         raise
     except Exception as error:  # noqa: BLE001
         note((str(error).splitlines() or [type(error).__name__])[0][:120])

@@ -5,12 +5,12 @@
 from __future__ import annotations
 
 import bz2
-import importlib
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
-import sys
 from typing import Any
 
-from trajectory_calibration.errors import pip_name, SourceError
+from trajectory_calibration.errors import require
 from trajectory_calibration.sources.channels import border
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
@@ -20,15 +20,15 @@ _BLOCK = 1 << 22
 def unpack(data: bytes, compression: str, size: int) -> bytes:
     """Return the content of compressed data of a known size.
 
-    Raise SourceError where the package that this needs is not installed, ValueError where the
-    format is not known.
+    Raise MissingPackageError where the package that this needs is not installed, ValueError where
+    the format is not known.
     """
     if compression in ('', 'none'):
         return data
     if compression == 'bz2':
         return bz2.decompress(data)
     if compression == 'lz4':
-        return bytes(_package('lz4.frame').decompress(data))
+        return bytes(require('lz4.frame').decompress(data))
     if compression == 'zstd':
         return unpack_zstd(data, size)
     raise ValueError(f'compression {compression!r} is not known')
@@ -58,18 +58,8 @@ def unpack_zstd_file(packed: Path, target: Path) -> str:
 
 
 def _zstd() -> Any:
-    if sys.version_info >= (3, 14):
-        return importlib.import_module('compression.zstd')
-    try:
-        return importlib.import_module('backports.zstd')
-    except ModuleNotFoundError:
-        return _package('zstandard', 'backports.zstd')
-
-
-def _package(name: str, wanted: str | None = None) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        package = wanted or pip_name(error)
-        raise SourceError(f'this bag is compressed, and the Python package {package} is not '
-                          f'installed; install it with: pip install {package}') from error
+    # The first is in Python from 3.14 on, the second is what Ubuntu has.
+    for name in ('compression.zstd', 'backports.zstd', 'zstandard'):
+        with suppress(ModuleNotFoundError):
+            return import_module(name)
+    return require('backports.zstd')
