@@ -179,6 +179,16 @@ def test_jumps_are_named_and_set_aside():
         'b drifts by +5.00% and -1.00% of the distance along its x and z: corrected')
 
 
+@pytest.mark.parametrize('size', [0.1, 1.0, 10.0, 100.0])
+def test_one_jump_among_good_steps_is_found_however_large(size):
+    pairs, T_a_b = simulated(6, white=(0.005, 0.002), jumps=[(90, np.array([size, 0.0, 0.0]))])
+    solution = solve_pairs(pairs, AUTO)
+    (jump,) = solution.diagnosis.jumps
+    assert jump.stamp_ns == pairs.stamps_ns[91]
+    assert jump.translation_m == pytest.approx(size, abs=0.05)
+    assert absolute_errors(solution.T_a_b, T_a_b).e_at < 0.005
+
+
 def test_scale_is_found_where_there_is_one():
     pairs, T_a_b = simulated(7, white=(0.01, 0.005), scale=0.97)
     solution = solve_pairs(pairs, AUTO)

@@ -19,8 +19,8 @@ from trajectory_calibration.solvers.drift_aware.student import log_gamma
 # A step is a jump from this probability on.
 _PROBABILITY = 0.9
 
-# Degrees of freedom that the core may have.
-_TAILS = np.array([2.0, 3.0, 5.0, 10.0, 100.0])[:, None]
+# Degrees of freedom that the core may have, once for each of the two starts.
+_TAILS = np.tile([2.0, 3.0, 5.0, 10.0, 100.0], 2)[:, None]
 _CONSTANT = (log_gamma((_TAILS + 3) / 2) - log_gamma(_TAILS / 2)
              - 1.5 * np.log(_TAILS * np.pi))
 
@@ -74,8 +74,10 @@ def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
     first = np.take_along_axis(r[:, 0], (counts > 0).argmax(axis=1)[:, None], axis=1)
     core = np.maximum(np.median(squares, axis=1)[:, None] / 2.4, first)
     core = np.repeat(core[:, None], len(_TAILS), axis=1)
-    wide = np.maximum(
-        np.quantile(squares, 0.98, axis=1)[:, None, None] / 3, _WIDER * core)
+    # A normal that begins narrow never reaches one step that is far beyond all others; one that
+    # begins wide may take in too few. The likelihood chooses here, too.
+    starts = np.stack([np.quantile(squares, 0.98, axis=1), largest[:, 0]], axis=1) / 3
+    wide = np.maximum(np.repeat(starts, len(_TAILS) // 2, axis=1)[:, :, None], _WIDER * core)
     share = np.full_like(core, 0.05)
     for _ in range(_ITERATIONS):
         ratio = r / core
