@@ -17,7 +17,7 @@ NAME = PACKAGE.name
 # its own package. The registry of solvers stands before the configuration, which offers their
 # names; the solvers stand after it.
 FLOW = (
-    ('errors', 'version'),
+    ('errors', 'exit_status', 'version'),
     ('executor',),
     ('geometry',),
     ('data',),

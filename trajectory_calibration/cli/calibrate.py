@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import running_clock

@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from textwrap import fill
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError

@@ -16,7 +16,7 @@ from pathlib import Path
 import re
 import sys
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import split_bags
 from trajectory_calibration.cli.options import join_negative_values
 from trajectory_calibration.errors import CalibrationError, ConfigError, missing_package

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.cli.writing import print_as
 from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml

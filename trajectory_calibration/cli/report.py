@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 import sys
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.writing import (
     add_truth_argument,

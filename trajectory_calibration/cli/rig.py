@@ -13,7 +13,7 @@ from pathlib import Path
 import sys
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.cli import exit_status
+from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.cli.writing import print_as, record_of, require_new

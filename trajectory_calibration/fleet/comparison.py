@@ -23,6 +23,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.errors import counted, in_sigmas, ResultError
+from trajectory_calibration.exit_status import CHANGED, DONE
 from trajectory_calibration.fleet.differences import (
     aligned_step,
     describe_step,
@@ -99,7 +100,7 @@ class Comparison:
     @property
     def exit_status(self) -> int:
         """Return 0 where the answers agree, 4 where they do not."""
-        return 4 if self.changes or not self.stretches else 0
+        return CHANGED if self.changes or not self.stretches else DONE
 
     @property
     def probability(self) -> float:

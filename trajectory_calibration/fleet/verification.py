@@ -15,6 +15,7 @@ from trajectory_calibration.assessment.observability import (
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import AssociationError, MotionError, ResultError, SolverError
+from trajectory_calibration.exit_status import CHANGED, DONE, OPEN
 from trajectory_calibration.fleet.differences import (
     AXES,
     describe_step,
@@ -30,7 +31,7 @@ from trajectory_calibration.result import CalibrationResult
 
 HOLDS, CANNOT_TELL, MOVED = 'holds', 'cannot tell', 'moved'
 
-EXIT_STATUS = {HOLDS: 0, CANNOT_TELL: 3, MOVED: 4}
+_EXIT_STATUS = {HOLDS: DONE, CANNOT_TELL: OPEN, MOVED: CHANGED}
 
 # Of an axis: not known before, so that there is nothing to verify.
 NOT_KNOWN = 'not in the result'
@@ -68,8 +69,9 @@ class Verification:
     @property
     def exit_status(self) -> int:
         """Return 0 where every direction holds, 4 for moved, 3 where one was not tested."""
-        status = EXIT_STATUS[self.verdict]
-        return status or (EXIT_STATUS[CANNOT_TELL] if NOT_KNOWN in self.status.values() else 0)
+        if self.verdict == HOLDS and NOT_KNOWN in self.status.values():
+            return OPEN
+        return _EXIT_STATUS[self.verdict]
 
     def describe(self) -> str:
         """Return the verdict in one sentence."""

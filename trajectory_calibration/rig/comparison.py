@@ -14,7 +14,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
 from trajectory_calibration.geometry.observed import misfit, whitener
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.contradictions import describe_step
+from trajectory_calibration.rig.contradictions import describe_size
 from trajectory_calibration.rig.result import RigResult, twist_rows
 from trajectory_calibration.rig.shared_noise import twist_to_step
 
@@ -40,7 +40,7 @@ class Change:
     p_value: float
 
     def __str__(self) -> str:
-        return (f'{self.sensor} moved by {describe_step(self.step)} '
+        return (f'{self.sensor} moved by {describe_size(self.step)} '
                 f'(chi-squared {self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.1g})')
 
 

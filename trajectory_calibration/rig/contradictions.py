@@ -213,7 +213,7 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
     seconds = 1e-9 * float(grid.stamps_ns[sample] - grid.stamps_ns[0])
     name = tree.names[s]
     return s, Contradiction(
-        name, 'moved', f'the mount of {name} moved by {describe_step(step)} near {seconds:.0f} s: '
+        name, 'moved', f'the mount of {name} moved by {describe_size(step)} near {seconds:.0f} s: '
         'fasten it, and calibrate the parts before and after alone',
         -chi_squared, degrees, p_value)
 
@@ -314,7 +314,7 @@ def _change(
     return x[1] - x[0], without(weight, free), of_noise
 
 
-def describe_step(step: FloatArray) -> str:
+def describe_size(step: FloatArray) -> str:
     """Return a (6,) step in words: how far, and by what angle."""
     metres = float(np.linalg.norm(step[:3]))
     degrees = float(np.rad2deg(np.linalg.norm(step[3:])))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line returns to the shell."""
+"""What the command line returns to the shell, and a verdict carries in JSON and diagnostics."""
 
 DONE = 0
 # The data cannot give an answer.
