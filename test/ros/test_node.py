@@ -264,7 +264,7 @@ def test_receiving_goes_on_and_a_second_call_is_refused_while_solving(tmp_path):
         client.wait(first.done, 'the first answer')
     assert not second.success and second.message.startswith('busy')
     assert first.result().success, first.result().message
-    assert 'of 2950 poses' in first.result().message
+    assert 'of 2,950 poses' in first.result().message
 
 
 def test_reset_and_timeout_stop_a_calibration(tmp_path):
