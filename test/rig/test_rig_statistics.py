@@ -40,7 +40,8 @@ def test_joint_covariance_is_honest():
     ('vehicle', Fault(elsewhere=True))], ids=['moved', 'clock', 'vehicle'])
 def test_faults_are_named(kind, fault, seeds):
     slam = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
-    base = RigScenario({name: Sensor(noise=slam) for name in 'abcd'}, 90.0)
+    # As long as in docs/rig.md, where 96 of 100 mounts are named; in 90 s some 5 cm are chance.
+    base = RigScenario({name: Sensor(noise=slam) for name in 'abcd'}, 120.0)
     for seed in range(seeds):
         culprit = 'abcd'[(seed + 1) % 4]
         run = simulate_rig(replace(base, faults={culprit: fault}), 50 + seed)
