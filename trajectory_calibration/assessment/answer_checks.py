@@ -84,9 +84,10 @@ def one_orientation(
         return ()
     return (Finding(
         'orientations-identical',
-        f'{frames[0]} and {frames[1]} rotate identically, to the last digit, but move differently: '
-        'one was computed from the other, or both from one IMU? The standard deviations do not '
-        'hold. Give trajectories that were measured apart', {'parted_rad': parted}),)
+        f'{frames[0]} and {frames[1]} rotate identically, to the last digit, but move '
+        'differently: one was computed from the other, or both from one IMU? The standard '
+        'deviations do not hold. Give trajectories that were measured apart',
+        {'parted_rad': parted}),)
 
 
 def two_worlds(
