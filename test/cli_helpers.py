@@ -1,6 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Two trajectories with a known extrinsic between them, as files and as a bag."""
+"""Two trajectories with a known extrinsic, as files and as a bag; an output without a reader."""
+
+import io
 
 from bag_writing import BagFile
 import numpy as np
@@ -60,3 +62,10 @@ def run(capsys, *arguments):
     status = main([str(argument) for argument in arguments])
     captured = capsys.readouterr()
     return status, captured.out, captured.err
+
+
+class Gone(io.StringIO):
+    """Standard output whose reader, head for instance, has seen enough."""
+
+    def write(self, _):
+        raise BrokenPipeError

@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 
 from trajectory_calibration import calibrate, CalibrationConfig, CalibrationResult
 from trajectory_calibration.cli.options import join_negative_values
+from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe
@@ -212,6 +213,21 @@ def test_a_reader_that_has_gone_takes_no_files_away(files, tmp_path, monkeypatch
     monkeypatch.setattr('trajectory_calibration.cli.main._discard_output', lambda: None)
     assert run(capsys, 'calibrate', *files[:2], *SOLVER, '--output', tmp_path / 'out')[0] == 0
     assert (tmp_path / 'out' / 'extrinsic.urdf').is_file()
+
+
+def test_a_file_is_replaced_in_folders_that_can_be_written_to_only(tmp_path, monkeypatch):
+    """A file is made anew beside the old one: the permissions of its folder count, not its own."""
+    closed, opened = tmp_path / 'closed', tmp_path / 'opened'
+    for folder in (closed, opened):
+        folder.mkdir()
+        (folder / 'x').write_text('')
+    (opened / 'link').symlink_to(closed / 'x')
+    (closed / 'link').symlink_to(opened / 'x')
+    monkeypatch.setattr(os, 'access', lambda path, _: path != closed)
+    for path in (closed / 'x', opened / 'link', closed / 'new'):
+        with pytest.raises(ResultError, match=f'{closed} cannot be written to'):
+            require_new([path], force=True)
+    require_new([closed / 'link', opened / 'x', Path(os.devnull)], force=True)
 
 
 def test_a_report_that_fails_hides_no_reason(files, tmp_path, monkeypatch, capsys):

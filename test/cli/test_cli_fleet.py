@@ -12,11 +12,12 @@ import subprocess
 import sys
 import time
 
-from cli_helpers import make_pair, rows, run, write_pair_bag, X
+from cli_helpers import Gone, make_pair, rows, run, write_pair_bag, X
 import numpy as np
 import pytest
 
 from trajectory_calibration import CalibrationConfig, CalibrationResult, ConfigError
+from trajectory_calibration.cli.main import main
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.executor import Executor
 from trajectory_calibration.fleet.jobs import calibrate_job, Job, read_jobs, run_jobs
@@ -118,6 +119,15 @@ def test_compare_says_the_same_of_the_results(done, capsys, tmp_path):
     assert status == 0
     assert len(list(csv.DictReader(io.StringIO(out)))) == 8
     assert run(capsys, 'compare', results[0])[0] == 2
+
+
+def test_a_reader_that_has_gone_takes_no_tables_away(done, tmp_path, monkeypatch):
+    monkeypatch.setattr('trajectory_calibration.cli.main._discard_output', lambda: None)
+    monkeypatch.setattr(sys, 'stdout', Gone())
+    results = map(str, (done / 'results').iterdir())
+    assert main(['compare', *results, '--output', str(tmp_path)]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {
+        'table.csv', 'table.json', 'fleet.html'}
 
 
 def test_what_another_run_left_is_overwritten_with_force_only(drives, tmp_path, capsys):

@@ -69,12 +69,15 @@ def run(arguments: argparse.Namespace) -> int:
 def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
     """Print and write a comparison; return the exit status."""
     text = {'text': to_text, 'csv': to_csv, 'json': to_json}[arguments.format](comparison)
-    print(text, end='' if text.endswith('\n') else '\n')
-    if arguments.format != 'text' and comparison.exit_status:
-        print('\n'.join(comparison.describe()), file=sys.stderr)
-    if arguments.output is not None:
-        written = to_csv(comparison), to_json(comparison) + '\n', fleet_page(comparison)
-        for name, content in zip(FILES, written, strict=True):
-            write_text(arguments.output / name, content)
-        print(f'wrote {arguments.output}/{", ".join(FILES)}', file=sys.stderr)
+    # A reader that has gone takes no files away.
+    try:
+        print(text, end='' if text.endswith('\n') else '\n', flush=True)
+        if arguments.format != 'text' and comparison.exit_status:
+            print('\n'.join(comparison.describe()), file=sys.stderr)
+    finally:
+        if arguments.output is not None:
+            written = to_csv(comparison), to_json(comparison) + '\n', fleet_page(comparison)
+            for name, content in zip(FILES, written, strict=True):
+                write_text(arguments.output / name, content)
+            print(f'wrote {arguments.output}/{", ".join(FILES)}', file=sys.stderr)
     return comparison.exit_status

@@ -66,14 +66,15 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
     for path in paths:
         if path.is_dir():
             raise ResultError(f'{path} cannot be written: it is a folder; give another name')
-        folder = path.parent
+        # Of a link, the file that it names is replaced.
+        folder = (path.resolve() if path.is_file() else path).parent
         while not folder.exists() and folder != folder.parent:
             folder = folder.parent
         if not folder.is_dir():
             raise ResultError(f'{path.parent} cannot be made: {folder} is a file; give another '
                               'name')
-        # A device or a pipe is written to as it is.
-        if not path.exists() and not os.access(folder, os.W_OK | os.X_OK):
+        # A device or a pipe is written to as it is; a file is made anew, also in place of another.
+        if (path.is_file() or not path.exists()) and not os.access(folder, os.W_OK | os.X_OK):
             raise ResultError(f'{folder} cannot be written to; give another name, or correct its '
                               'permissions')
 
