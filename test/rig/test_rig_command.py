@@ -6,6 +6,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ET
 
 import numpy as np
@@ -79,6 +80,9 @@ def test_urdf_holds_every_joint(folder, rig):
         tree.joints['camera'].T_parent_child, rig.sensors['front'].T_base_sensor, atol=1e-9)
     robot = ET.parse(folder / 'out' / 'rig.urdf').getroot()
     assert [link.get('name') for link in robot.iter('link')] == ['velodyne', 'camera', 'rear']
+    # It is a whole robot; only a single joint is pasted into one.
+    assert 'Paste' not in (folder / 'out' / 'rig.urdf').read_text()
+    assert 'Paste' in (folder / 'out' / 'camera' / 'extrinsic.urdf').read_text()
 
 
 def test_sensor_kit_holds_every_sensor(folder, rig):
@@ -129,6 +133,15 @@ def test_the_page_is_one_whole_file(folder):
     for wanted in ('Rig of 3 sensors in lidar', 'Chi-squared of each pair', 'White noise',
                    'All tracks from above', 'front from lidar'):
         assert wanted in words
+
+
+def test_the_page_of_two_groups_is_not_called_usable(rig):
+    assert rig.unplaced == ()
+    assert 'badge">Usable<' in render_rig(rig)
+    apart = replace(rig, sensors={
+        **rig.sensors, 'rear': replace(rig.sensors['rear'], base='rear')})
+    assert apart.unplaced == ('rear',)
+    assert 'badge">Part of it is unknown<' in render_rig(apart)
 
 
 def test_a_page_without_tracks_says_so(rig):
@@ -282,6 +295,16 @@ def test_a_saved_rig_has_a_page(folder, tmp_path, capsys):
     assert main(report) == 2
     assert main([*report, '--force', '--plots', str(tmp_path)]) == 2
     assert '--plots is for one pair' in capsys.readouterr().err
+    assert 'recording-other' not in text
+    # Another trajectory is no evidence for this rig, and the page says so first.
+    for name in ('lidar', 'front', 'rear'):
+        (tmp_path / f'{name}.tum').write_bytes((folder / f'{name}.tum').read_bytes())
+    (tmp_path / 'RIG.yaml').write_text(RIG)
+    write_tum(tmp_path / 'front.tum', drive(latency=0.1).trajectories['front'])
+    report[2] = str(tmp_path / 'RIG.yaml')
+    assert main([*report, '--force']) == 0
+    assert f'serious: front of {tmp_path}/RIG.yaml: not the trajec' in capsys.readouterr().err
+    assert '<code>recording-other</code>' in (tmp_path / 'x.html').read_text()
 
 
 def test_open_heights_end_with_status_three(tmp_path, capsys):
@@ -303,7 +326,15 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
         write_tum(tmp_path / f'{name}.tum', trajectory)
     (tmp_path / 'RIG.yaml').write_text(RIG)
     out = tmp_path / 'out'
-    command = ['rig', str(tmp_path / 'RIG.yaml'), '--output', str(out), '--force']
+    command = ['rig', str(tmp_path / 'RIG.yaml'), '--output', str(out)]
+    # What is kept back removes no file of its name that a person has there.
+    (out / 'camera').mkdir(parents=True)
+    (out / 'camera' / 'extrinsic.urdf').write_text('of a person')
+    assert main(command) == 2
+    assert 'extrinsic.urdf exists; give --force' in capsys.readouterr().err
+    assert (out / 'camera' / 'extrinsic.urdf').read_text() == 'of a person'
+    shutil.rmtree(out)
+    command.append('--force')
     assert main(command) == 3
     assert capsys.readouterr().err == (
         'not exported: z of camera in velodyne; z of rear in velodyne unknown; '
@@ -469,6 +500,8 @@ def test_no_results_are_wrong_usage(tmp_path, capsys):
     (tmp_path / 'x.yaml').write_text('a: 1\n')
     assert main(['rig', '--from-results', str(tmp_path)]) == 2
     assert 'holds no results' in capsys.readouterr().err
+    assert main(['rig', '--from-results', str(tmp_path / 'x.yaml')]) == 2
+    assert 'x.yaml is no folder; needed one with results' in capsys.readouterr().err
 
 
 def test_transforms_of_a_bag_and_priors_are_read(tmp_path):

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 import re
 
+from cli_helpers import Gone
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import RigConfig, RigResult
 from trajectory_calibration.rig.comparison import compare_rigs
+from trajectory_calibration.rig.contradictions import describe_size
 from trajectory_calibration.rig.result import SensorAnswer
 from trajectory_calibration.rig.shared_noise import twist_to_step
 from trajectory_calibration.simulation.files import write_tum
@@ -118,6 +120,8 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert main(['verify', str(earlier), str(tmp_path / 'RIG.yaml')]) == 4
     printed = capsys.readouterr().out
     assert 'b moved by 10 cm' in printed
+    # No exponent, however far.
+    assert describe_size(np.array([3.0, 4.0, 0.0, 0.0, 0.0, 2.5])) == '500 cm and 143 deg'
     verdicts = {line.split()[0]: line.split()[-1] for line in printed.splitlines()[3:]}
     assert verdicts == {'b': 'moved', 'c': 'holds'}
     assert main([*verify, '--format', 'json']) == 3
@@ -165,6 +169,11 @@ def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
     assert 'table.csv and 1 more exist; give --force' in capsys.readouterr().err
     assert main(['compare', *paths, '--output', 'cmp', '--force']) == 0
     assert capsys.readouterr().out.count(' against one: the rig holds') == 2
+    # A reader that has gone takes no tables away.
+    monkeypatch.setattr('trajectory_calibration.cli.main._discard_output', lambda: None)
+    monkeypatch.setattr('sys.stdout', Gone())
+    assert main(['compare', *paths, '--output', 'head']) == 0
+    assert sorted(path.name for path in Path('head').iterdir()) == ['table.csv', 'table.json']
 
 
 @pytest.mark.parametrize('option', [

@@ -19,8 +19,8 @@ from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.cli.writing import print_as, record_of, require_new
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, write_text
-from trajectory_calibration.data.findings import worst_first
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.findings import Finding, worst_first
+from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import short_names
 from trajectory_calibration.outputs.comparison_table import (
@@ -158,8 +158,9 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
     """Write the rig and its exports; say what is not exported, and what was removed."""
     contents = rig_exports(rig)
-    require_new([folder / name for name in contents], force=force)
     names = rig_export_files(rig)
+    # Those that are kept back, too: nothing of this name is removed without --force.
+    require_new([folder / name for name in names], force=force)
     with suppress(ResultError, ConfigError):
         # Sensors that have no answer any more had their exports named by the earlier rig.
         names += rig_export_files(RigResult.load(folder / RIG_FILE))
@@ -244,6 +245,15 @@ def report_rig(arguments: argparse.Namespace) -> int:
     page: Path = arguments.output or arguments.result.with_suffix('.html')
     require_new([page], force=arguments.force)
     sources, trajectories = _described(arguments)
+    others = [name for name, trajectory in trajectories.items()
+              if name in rig.sensors and recording_of(trajectory) not in rig.recordings]
+    if rig.recordings and others:
+        found = Finding('recording-other', (
+            f'{", ".join(others)} of {arguments.a}: not the trajectories of {arguments.result}. '
+            'The page shows how well its answer fits them. Give those that it was made from, or '
+            'use verify'))
+        rig = replace(rig, findings=(found, *rig.findings))
+        print(f'{found.level}: {found}', file=sys.stderr)
     write_rig_page(rig, trajectories, record_of(arguments, sources), page)
     print(f'wrote {page}')
     return _status_of(rig)
@@ -274,11 +284,14 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     table, data = rigs_to_csv(found), json.dumps(rigs_to_data(found, against)) + '\n'
     text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}'
                      for name, one in found)
-    print({'text': text, 'csv': table, 'json': data}[arguments.format], end='')
-    if arguments.output is not None:
-        for name, content in zip(RIG_TABLES, (table, data), strict=True):
-            write_text(arguments.output / name, content)
-        print(f'wrote {arguments.output}/{", ".join(RIG_TABLES)}', file=sys.stderr)
+    # A reader that has gone takes no files away.
+    try:
+        print({'text': text, 'csv': table, 'json': data}[arguments.format], end='', flush=True)
+    finally:
+        if arguments.output is not None:
+            for name, content in zip(RIG_TABLES, (table, data), strict=True):
+                write_text(arguments.output / name, content)
+            print(f'wrote {arguments.output}/{", ".join(RIG_TABLES)}', file=sys.stderr)
     return _status([one for _, one in found])
 
 

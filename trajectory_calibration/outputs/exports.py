@@ -105,12 +105,16 @@ def _joint(item: Placement, parent: str, child: str, name: str) -> str:
             '</joint>\n')
 
 
+def joint_and_link(item: Placement, *comments: str) -> str:
+    """Return the joint and the link of the child in URDF, with the pose after ``comments``."""
+    return (_comments(item, *comments, _pose(item), xml=True)
+            + _joint(item, item.parent, item.child, f'{item.parent}_to_{item.child}')
+            + f'<link name={quoteattr(item.child)}/>\n')
+
+
 def _urdf(item: Placement) -> str:
-    return (_comments(
-        item, f'Paste into <robot>; leave out the link where {item.child} has one', _pose(item),
-        xml=True)
-        + _joint(item, item.parent, item.child, f'{item.parent}_to_{item.child}')
-        + f'<link name={quoteattr(item.child)}/>\n')
+    return joint_and_link(
+        item, f'Paste into <robot>; leave out the link where {item.child} has one')
 
 
 def _xacro(item: Placement) -> str:

@@ -13,6 +13,7 @@ from trajectory_calibration.outputs.exports import (
     encode_exports,
     EXPORT_FILES,
     EXPORTS,
+    joint_and_link,
     launch_file,
     sensor_kit,
 )
@@ -88,10 +89,10 @@ def encode_rig(rig: RigResult, name: str, *, allow_unobserved: bool = False) -> 
         return launch_file(items).encode()
     if name == 'autoware':
         return sensor_kit(items).encode()
-    parts = ''.join(map(EXPORTS[name].write, items))
     if name == 'urdf':
         links = ''.join(f'<link name={quoteattr(rig.sensors[base].frame)}/>\n'
                         for base in rig.trees)
-        body = ''.join(f'  {line}\n' for line in f'{links}{parts}'.splitlines())
-        parts = f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n'
-    return parts.encode()
+        joints = ''.join(map(joint_and_link, items))
+        body = ''.join(f'  {line}\n' for line in f'{links}{joints}'.splitlines())
+        return f'<?xml version="1.0"?>\n<robot name="rig">\n{body}</robot>\n'.encode()
+    return ''.join(map(EXPORTS[name].write, items)).encode()

@@ -87,7 +87,7 @@ def _box(rig: RigResult) -> str:
     style, badge = (
         ('failed', 'A sensor contradicts the others') if any(
             item.kind != 'clock' for item in rig.contradictions) else
-        ('open', 'Part of it is unknown') if rig.unobserved else
+        ('open', 'Part of it is unknown') if rig.unobserved or rig.unplaced else
         ('care', 'Usable with care') if weak or rig.p_value < _WRONG else ('good', 'Usable'))
     rows = []
     for sensor in rig.sensors.values():

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.config.prior import Prior
+from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import (
     exceedance,
@@ -318,7 +319,7 @@ def describe_size(step: FloatArray) -> str:
     """Return a (6,) step in words: how far, and by what angle."""
     metres = float(np.linalg.norm(step[:3]))
     degrees = float(np.rad2deg(np.linalg.norm(step[3:])))
-    return f'{100 * metres:.2g} cm and {degrees:.2g} deg'
+    return f'{rounded(100 * metres)} cm and {rounded(degrees)} deg'
 
 
 def block_of(fused: Fused, k: int) -> FloatArray:

@@ -35,6 +35,7 @@ def read_results(
                 (path, result))
     if not found:
         raise ConfigError(
+            f'{folder} is no folder; needed one with results' if not folder.is_dir() else
             f'{folder} holds no results: {failures[0]}' if failures else
             f'{folder} holds no .yaml; needed results that calibrate or a node saved')
     # Of equal ends the last one, as the names have it.
