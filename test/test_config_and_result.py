@@ -29,6 +29,7 @@ from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, rounded, unknown_name
 from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.rig.result import RigResult
 from trajectory_calibration.solvers import load_solver
 
 
@@ -441,6 +442,15 @@ def test_a_result_of_settings_that_are_not_here_is_read_and_not_repeated(result)
 def test_missing_file(tmp_path):
     with pytest.raises(ResultError, match='No such file'):
         CalibrationResult.load(tmp_path / 'none.yaml')
+
+
+@pytest.mark.parametrize('kind', [CalibrationResult, RigResult])
+@pytest.mark.parametrize('text', ['', 'a: [', 'no: result\n'])
+def test_a_file_that_holds_something_else_is_named(tmp_path, kind, text):
+    path = tmp_path / 'notes.yaml'
+    path.write_text(text)
+    with pytest.raises(ResultError, match=re.escape(str(path))):
+        kind.load(path)
 
 
 def test_two_sensors_of_one_name_are_a_warning():

@@ -254,7 +254,11 @@ class CalibrationResult:
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no calibration result; needed the result.yaml of a '
                               'calibration')
-        return cls.from_dict(data)
+        try:
+            return cls.from_dict(data)
+        except ResultError as error:
+            # Of several files a person must know which.
+            raise ResultError(f'{path}: {error}') from error
 
 
 def _shown_by(module: str) -> Any:

@@ -107,6 +107,11 @@ def test_only_a_fixed_transform_is_compared_with():
         None)
 
 
+def test_one_name_for_both_sensors_is_compared_with_nothing():
+    # As of two odometries that both give the pose of base_link.
+    assert vehicle('odom base_link').transform('base_link', 'base_link') is None
+
+
 def test_the_transform_of_today_and_how_far_the_answer_is_from_it():
     frames = VehicleFrames()
     assert frames.transform('lidar', 'camera') is None

@@ -235,7 +235,8 @@ def test_of_two_results_the_later_recording_counts_whatever_its_name(tmp_path, c
     told = {found['code']: found['text'] for found in data['findings']}
     assert told['rig-result-repeated'] == (
         '2 results of lidar - front: the latest was used, node_000009.yaml')
-    assert told['rig-result-unread'].startswith('not read: notes.yaml (not a calibration result:')
+    assert told['rig-result-unread'].startswith(
+        f'not read: {tmp_path}/notes.yaml: not a calibration result:')
     # Of recordings that end together the one that was saved last, as people count.
     replace(half, start_ns=None, scale=2.0).save(tmp_path / 'node_000010.yaml')
     replace(whole, start_ns=None).save(tmp_path / 'node_000009.yaml')

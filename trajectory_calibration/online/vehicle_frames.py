@@ -77,7 +77,12 @@ class VehicleFrames:
         self._published.append(edge)
 
     def transform(self, frame_a: str, frame_b: str) -> FloatArray | None:
-        """Return the (4, 4) pose of frame b in frame a, None where that is not fixed."""
+        """Return the (4, 4) pose of frame b in frame a, None where that is not fixed.
+
+        And None where one name stands for both sensors: of two poses TF knows nothing then.
+        """
+        if frame_a == frame_b:
+            return None
         found = between(self._edges, frame_a, frame_b)
         return found[0] if found is not None and found[1] is None else None
 

@@ -277,7 +277,11 @@ class RigResult:
         data = read_yaml(Path(path), 'a rig', ResultError)
         if not isinstance(data, dict):
             raise ResultError(f'{path} holds no rig; needed what save() wrote')
-        return cls.from_dict(data)
+        try:
+            return cls.from_dict(data)
+        except ResultError as error:
+            # Of several files a person must know which.
+            raise ResultError(f'{path}: {error}') from error
 
 
 def is_rig(path: Path) -> bool:

@@ -29,7 +29,7 @@ def read_results(
     for path in sorted(paths, key=as_counted):
         result = _read(path)
         if isinstance(result, ResultError):
-            failures.append(f'{path.relative_to(folder)} ({result})')
+            failures.append(str(result))
         else:
             found.setdefault(frozenset((result.frame_a, result.frame_b)), []).append(
                 (path, result))
