@@ -94,7 +94,7 @@ def test_a_rig_is_saved_and_loaded(mixed, tmp_path):
 
 def test_no_rig_is_no_rig(tmp_path):
     (tmp_path / 'x.yaml').write_text('rig_format_version: 1\nbase: a\n')
-    with pytest.raises(ResultError, match='not a rig'):
+    with pytest.raises(ResultError, match=f'{tmp_path}/x.yaml: not a rig'):
         RigResult.load(tmp_path / 'x.yaml')
     (tmp_path / 'x.yaml').write_text('1\n')
     with pytest.raises(ResultError, match='holds no rig'):

@@ -169,12 +169,13 @@ def test_jumps_are_named_and_set_aside():
     assert finding.text.startswith('2 pose jumps')
     assert '0.6 m and' in finding.text
     assert 'at 18.2 s' in finding.text
-    # What rounding leaves of a rotation that did not jump is no number.
+    # What rounding leaves of a rotation that did not jump is no number; a far jump no exponent.
     exact = replace(solution.diagnosis, systematic_drift=(0.05, 1e-16, -0.01),
                     systematic_drift_deviation=(1e-3,) * 3,
-                    jumps=(Jump(8_200_000_000, 0.3, 1e-16),))
+                    jumps=(
+                        Jump(8_200_000_000, 0.3, 1e-16), Jump(9_000_000_000, 1520.0, np.pi)))
     drift, jump = findings_of(exact, 0)
-    assert jump.text.endswith('0.3 m and 0 deg at 8.2 s')
+    assert jump.text.endswith('0.3 m and 0 deg at 8.2 s, 1,520 m and 180 deg at 9.0 s')
     assert drift.text == (
         'b drifts by +5.00% and -1.00% of the distance along its x and z: corrected')
 

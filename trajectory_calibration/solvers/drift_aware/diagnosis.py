@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.errors import counted
+from trajectory_calibration.errors import counted, rounded
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
 from trajectory_calibration.solvers.drift_aware.drive import (
@@ -170,7 +170,7 @@ def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 def _size(value: float) -> str:
     # What rounding leaves of a component that did not jump is 0.
-    return f'{round(value, 6):.2g}'
+    return rounded(round(value, 6))
 
 
 def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
