@@ -67,7 +67,16 @@ def unsteady(
     if motions is None:
         return ()
     H, g = _information(T_a_b, motions)
-    changes = [_change(H, g, course) for course in _COURSES]
+    told = np.diagonal(H.sum(axis=0))
+    most = np.maximum.reduceat(told, _KINDS)[[0, 0, 0, 1, 1, 1, 2]]
+    # What no motion tells of, such as the height of a flat drive, stays next to nothing.
+    unit = np.sqrt(np.maximum(np.where(told > _UNSEEN**2 * most, told, most),
+                              np.finfo(float).tiny))
+    H, g = H / np.outer(unit, unit), g / unit
+    # Scores of one unknown, whatever the others are; a column for each.
+    along = _inverse(H.sum(axis=0))
+    changes = [(size / unit, beyond) for size, beyond in (
+        _change(H, g, along, course) for course in _COURSES)]
     std = np.sqrt(np.diag(covariance))[[3, 4, 5, 0, 1, 2]]
     least = np.append(_MATTERS * np.maximum(std, _ROUNDING), _SCALE)
     excess = [np.where(np.abs(size) > least, beyond, 0.0).max() for size, beyond in changes]
@@ -112,22 +121,17 @@ def _information(T_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, F
 
 
 def _change(
-    H: FloatArray, g: FloatArray, course: FloatArray,
+    H: FloatArray, g: FloatArray, along: FloatArray, course: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the (7,) change by a (P,) course, and its ``|t|`` in terms of the limit."""
-    told = np.diagonal(H.sum(axis=0))
-    most = np.maximum.reduceat(told, _KINDS)[[0, 0, 0, 1, 1, 1, 2]]
-    # What no motion tells of, such as the height of a flat drive, stays next to nothing.
-    unit = np.sqrt(np.maximum(np.where(told > _UNSEEN**2 * most, told, most),
-                              np.finfo(float).tiny))
-    H, g = H / np.outer(unit, unit), g / unit
+    """Return the (7,) change by a (P,) course, and its ``|t|`` in terms of the limit.
+
+    ``along`` is (7, 7), the inverse of the information of all parts.
+    """
     # What holds at the beginning, and the change.
     columns = np.stack([np.ones(_PARTS), course])
     P = _inverse(np.einsum('ip,jp,pab->iajb', columns, columns, H).reshape(
         2 * _UNKNOWNS, 2 * _UNKNOWNS))
     solved = (P @ (columns @ g).ravel()).reshape(2, _UNKNOWNS)
-    # Scores of one unknown, whatever the others are; a column for each.
-    along = _inverse(H.sum(axis=0))
     u = (g - np.einsum('pab,pb->pa', H, columns.T @ solved)) @ along
     H_along = np.moveaxis(H @ along, 2, 0)
     own = np.einsum('ak,kpa->kp', along, H_along)
@@ -141,7 +145,7 @@ def _change(
     std = np.sqrt(np.maximum(scatter * np.diag(P)[_UNKNOWNS:], tiny))
     probability = chi_squared.FALSE_ALARM / (len(_COURSES) * _UNKNOWNS)
     limit = [chi_squared.student_quantile(max(1, int(n)), probability) for n in freedom]
-    return solved[1] / unit, np.abs(solved[1]) / std / limit
+    return solved[1], np.abs(solved[1]) / std / limit
 
 
 def _inverse(H: FloatArray) -> FloatArray:

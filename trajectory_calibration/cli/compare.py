@@ -9,10 +9,10 @@ from pathlib import Path
 import sys
 
 from trajectory_calibration.cli.writing import require_new
-from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
+from trajectory_calibration.outputs.exports import write_files
 from trajectory_calibration.outputs.fleet_page import fleet_page
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.result import is_rig
@@ -77,7 +77,6 @@ def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
     finally:
         if arguments.output is not None:
             written = to_csv(comparison), to_json(comparison) + '\n', fleet_page(comparison)
-            for name, content in zip(FILES, written, strict=True):
-                write_text(arguments.output / name, content)
+            write_files(arguments.output, dict(zip(FILES, written, strict=True)))
             print(f'wrote {arguments.output}/{", ".join(FILES)}', file=sys.stderr)
     return comparison.exit_status

@@ -289,8 +289,7 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
         print({'text': text, 'csv': table, 'json': data}[arguments.format], end='', flush=True)
     finally:
         if arguments.output is not None:
-            for name, content in zip(RIG_TABLES, (table, data), strict=True):
-                write_text(arguments.output / name, content)
+            write_files(arguments.output, dict(zip(RIG_TABLES, (table, data), strict=True)))
             print(f'wrote {arguments.output}/{", ".join(RIG_TABLES)}', file=sys.stderr)
     return _status([one for _, one in found])
 

@@ -289,7 +289,7 @@ def write_exports(item: Placement, folder: Path) -> list[Path]:
     return write_files(folder, contents)
 
 
-def write_files(folder: Path, contents: Mapping[str, bytes]) -> list[Path]:
+def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
     """Write files into a folder, which is made; return them. Raises ResultError."""
     for name, data in contents.items():
         write_text(folder / name, data)

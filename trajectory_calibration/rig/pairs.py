@@ -103,17 +103,19 @@ def calibrate_pairs(
     names = [base, *(name for name in trajectories if name != base)]
     order = sorted(names, key=lambda name: config.of(name).scale == 'free').index
     found: dict[frozenset[str], PairAnswer | PairFailure] = {}
-    are_started = False
+    in_processes = False
 
     def extend(wanted: Iterable[tuple[str, str]], most: int = 0) -> list[PairAnswer]:
         """Calibrate pairs that are new, with so many poses at most; return all answers."""
-        nonlocal are_started
+        nonlocal in_processes
         new = dict.fromkeys((min(pair, key=order), max(pair, key=order)) for pair in wanted
                             if frozenset(pair) not in found)
         tasks = [(parent, child, _thinned(trajectories[parent], most),
                   _thinned(trajectories[child], most), config) for parent, child in new]
-        answers, are_started = _run(tasks, config.processes, are_started=are_started)
-        found.update(zip(map(frozenset, new), answers, strict=True))
+        # Those of earlier pairs are started already.
+        in_processes = in_processes or _need_processes(tasks, config.processes)
+        count = (config.processes or os.cpu_count() or 1) if in_processes else 1
+        found.update(zip(map(frozenset, new), _run(tasks, count), strict=True))
         return sorted_out(found.values())[0]
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
@@ -159,19 +161,18 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
         poses=trajectory.poses[::stride], findings=())
 
 
-def _run(
-    tasks: Sequence[_Task], processes: int, *, are_started: bool,
-) -> tuple[list[PairAnswer | PairFailure], bool]:
-    """Calibrate pairs: in processes where that is faster and joblib is there, else here.
-
-    Also return whether there are processes now: those of earlier tasks are started already.
-    """
+def _need_processes(tasks: Sequence[_Task], processes: int) -> bool:
+    """Return whether pairs are calibrated in processes: if asked for, or if it is faster."""
     work = sum(min(len(a), len(b)) for _, _, a, b, _ in tasks)
-    count = min(processes or os.cpu_count() or 1, len(tasks))
-    if count < 2 or not (processes or are_started or (
-            work >= _WORTH_PROCESSES and find_spec('joblib') is not None)):
-        return list(map(_calibrated, tasks)), are_started
+    return bool(processes) or (work >= _WORTH_PROCESSES and find_spec('joblib') is not None)
+
+
+def _run(tasks: Sequence[_Task], processes: int) -> list[PairAnswer | PairFailure]:
+    """Calibrate pairs, here where there is one process."""
+    count = min(processes, len(tasks))
+    if count < 2:
+        return list(map(_calibrated, tasks))
     # Not forked: whoever calls may have threads, of ROS or a notebook, whose locks a copy of the
     # process would keep for ever.
     found = Executor(jobs=count).unordered(_calibrated, tasks)
-    return [answer for _, answer in sorted(found, key=itemgetter(0))], True
+    return [answer for _, answer in sorted(found, key=itemgetter(0))]

@@ -32,8 +32,8 @@ def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
     return kept / values[known] @ kept.T, free @ free.T * _FAR**2
 
 
-def _told_of_latency(fit: Fit) -> float:
-    """Return the precision that the latency has beyond that of the data.
+def _told_of_latency(fit: Fit, A: FloatArray) -> float:
+    """Return the precision that the latency has beyond that of the data, A (12, 12).
 
     At a constant speed nothing tells a latency from the lever arm along the way. Its posterior, a
     Cauchy prior by the normal distribution that the data give, is then wide and lopsided, and its
@@ -41,7 +41,7 @@ def _told_of_latency(fit: Fit) -> float:
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
-    known, open_ = _inverse(fit.octaves.information(fit.c) / fit.phi + np.diag(prior))
+    known, open_ = _inverse(A / fit.phi + np.diag(prior))
     told = 1 / (known + open_)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
     precision = told + _LONG_LATENCY_S**-2
@@ -62,7 +62,7 @@ def covariance(fit: Fit) -> FloatArray:
         middle += (vectors * np.maximum(values, fit.phi)) @ vectors.T / len(BLOCKS)
     prior = fit.prior.copy()
     prior[:6] = 0.0
-    prior[LATENCY] = _told_of_latency(fit)
+    prior[LATENCY] = _told_of_latency(fit, A)
     inverse, open_ = _inverse(A / fit.phi + np.diag(prior))
     result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + open_
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
