@@ -127,11 +127,11 @@ def test_of_offsets_that_are_as_good_the_nearest_is_taken_and_the_others_named(s
     a, b = rocking(rng, 10, 0.0), rocking(rng, 20, 0.013)
     found = find_clock_offset(a, b, 5.0)
     assert abs(found.seconds) < 0.01
-    assert {round(seconds) for seconds in found.rivals} >= {-2, 2}
+    assert {round(seconds) for seconds in found.alternatives} >= {-2, 2}
     clock = synchronise(a, b, 0.0, 'auto', 5.0)
     assert clock.offset_s == 0.0
-    assert clock.rivals_s == found.rivals
-    assert not synchronise(a, b, 0.0, 'fixed', 5.0).rivals_s
+    assert clock.alternatives_s == found.alternatives
+    assert not synchronise(a, b, 0.0, 'fixed', 5.0).alternatives_s
     # What is known beforehand decides.
     late = rocking(rng, 20, 0.013, -2.0)
     assert abs(synchronise(a, late, -1.9, 'auto', 5.0).offset_s + 2.0) < 0.01
@@ -143,7 +143,7 @@ def test_no_rivals_where_the_motion_tells():
         pose = smooth_body(rng, planar=bool(seed % 2))
         a = perturb(rng, sampled(pose, np.eye(4), 60, 10), 0.01, 0.002)
         b = perturb(rng, sampled(pose, random_pose(rng), 60, 20, 0.03, 1.3), 0.01, 0.002)
-        assert find_clock_offset(a, b, 5.0).rivals == ()
+        assert find_clock_offset(a, b, 5.0).alternatives == ()
 
 
 @pytest.mark.statistical

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether one clock offset holds along a whole drive, as it does for sensors of one vehicle.
+"""Whether the clock offset is constant along a drive, as it is for two sensors of one vehicle.
 
-Two cars on one road turn at the same places, so that some offset makes their turns agree. But
-the distance between them changes, and the offset with it, by far more than clocks do.
+Two cars on one road turn at the same places, so some clock offset fits both. But the distance
+between the cars changes, and the offset with it, by far more than clocks drift.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from typing import NamedTuple
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.time_alignment.clock_drift import half_width_ns, shifts_along
+from trajectory_calibration.time_alignment.clock_drift import fit_offsets, half_width_ns
 from trajectory_calibration.time_alignment.clock_offset import Clock
-from trajectory_calibration.time_alignment.rotation_increments import Turning
+from trajectory_calibration.time_alignment.rotation_increments import RotationIncrements
 
-# The drive is cut into parts of equal turning.
+# The drive is split into parts with the same angular acceleration energy.
 _PARTS = 12
 _LEAST_WINDOWS = 10
 _LEAST_CELL_NS = 5_000_000
 
 
 class Steadiness(NamedTuple):
-    """How an offset varies along a drive.
+    """How the clock offset varies along a drive.
 
     Attributes
     ----------
-    scatter_s : root mean square over the parts of the drive, seconds, off a straight line.
-    chi_squared : the same relative to its errors, per degree of freedom; one where it is steady.
+    scatter_s : root mean square deviation from a straight line over the parts, seconds.
+    chi_squared : the same per degree of freedom, relative to the variances; one if it is steady.
 
     """
 
@@ -38,21 +38,22 @@ class Steadiness(NamedTuple):
 
 
 def offset_steadiness(a: Trajectory, b: Trajectory, clock: Clock) -> Steadiness | None:
-    """Return how steady the offset of b is; None where the turning does not tell."""
+    """Return how steady the clock offset of b is; None if the rotations do not determine it."""
     b = b.retimed(clock.drift, clock.drift_from_ns)
     cell_ns = round(max(a.usual_step_ns / 2, b.usual_step_ns / 2, _LEAST_CELL_NS))
-    turning = Turning.over_windows(a, b, round(clock.offset_s * 1e9), cell_ns)
-    if turning is None or len(turning) < _PARTS * _LEAST_WINDOWS:
+    increments = RotationIncrements.over_windows(a, b, round(clock.offset_s * 1e9), cell_ns)
+    if increments is None or len(increments) < _PARTS * _LEAST_WINDOWS:
         return None
     half_ns = half_width_ns(a, cell_ns)
-    # Not of equal time: who stands still for half of it says nothing of clocks then.
-    energy = np.cumsum(np.sum((turning.of_a(half_ns) - turning.of_a(-half_ns))**2, axis=1))
+    # Not parts of equal time: a stationary vehicle gives no information on clocks.
+    change = increments.rotations_a(half_ns) - increments.rotations_a(-half_ns)
+    energy = np.cumsum(np.sum(change**2, axis=1))
     part = np.minimum((_PARTS * energy / max(energy[-1], 1e-300)).astype(int), _PARTS - 1)
-    found = shifts_along(turning, half_ns, part[:, None] == np.arange(_PARTS))
+    found = fit_offsets(increments, half_ns, part[:, None] == np.arange(_PARTS))
     if found is None:
         return None
     shifts, stds = found
-    middle = np.array([np.median(turning.starts_ns[part == k] - turning.middle_ns)
+    middle = np.array([np.median(increments.starts_ns[part == k] - increments.middle_ns)
                        if (part == k).any() else np.nan for k in range(_PARTS)])
     good = np.isfinite(middle) & (stds > 0)
     if good.sum() < _PARTS // 2:

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From two trajectories to pairs of poses, as the settings have it: clocks first, then poses."""
+"""From two trajectories to pose pairs, by the settings: clock alignment, then association."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from trajectory_calibration.time_alignment.pairing import associate
 
 
 def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
-    """Return what the clock of b needed, and the pairs.
+    """Return the clock correction of b and the pose pairs.
 
-    Raise AssociationError as ``synchronise`` and ``associate`` do, with a question where stamps of
-    another unit may be why.
+    Raise AssociationError as ``synchronise`` and ``associate``, with a question if the stamps may
+    be in another unit.
     """
     try:
         clock = synchronise(
@@ -27,14 +27,14 @@ def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Cloc
         doubts = doubts_of_both(a, b)
         if not doubts:
             raise
-        # The question first: an offset or a longer gap would only hide a wrong unit.
+        # The question comes first: an offset or a longer gap would only hide a wrong unit.
         raise AssociationError(f'{"; ".join(map(str, doubts))}; {error}') from error
 
 
 def match_at(
     a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
 ) -> PosePairs:
-    """Return the pairs for a known clock of b; raises as ``associate``."""
+    """Return the pose pairs for a known clock correction of b; raises as ``associate``."""
     return associate(
         a,
         b.retimed(clock.drift, clock.drift_from_ns),

@@ -1,12 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How much faster one clock runs than another, from when each sensor turned.
+"""Clock drift between two sensors, from their rotations.
 
-Oscillators of computers and sensors differ by some 1e-5: 20 ms in half an hour that no constant
-offset removes. Where the clock of b is late by a little, the turns of a that belong to those of b
-are those of a little later: to first order, the difference of the two grows with the angular
-acceleration times that lateness, and lateness that grows evenly is one more column of a linear
-regression.
+Oscillators of computers and sensors differ by some 1e-5: 20 ms in half an hour, which no constant
+offset corrects. A small delay of the clock of b changes the difference of the rotations of a and b
+by the angular acceleration times the delay, to first order. A delay that grows at a constant rate
+is therefore one more regressor of a linear regression.
 """
 
 from __future__ import annotations
@@ -20,44 +19,48 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.rotation_increments import (
     is_significant,
+    RotationIncrements,
     ROUNDING,
     STEP_SHARE,
-    Turning,
 )
 
-# Half-width of the difference quotient by time, in cells, and then the next whole number of steps
-# of a. Over a part of a step the quotient has noise in common with the turn itself, which draws
-# the windows half-way between two poses: of sensors that hardly turn, the beat of their two rates
-# would be found for a drift, with certainty. Over whole steps the two are uncorrelated.
+# Half-width of the difference quotient in time, in cells, rounded up to whole steps of a. Over a
+# part of a step the noise of the quotient is correlated with that of the rotation itself: for
+# sensors that hardly rotate, the beat of their two rates would appear as a significant drift.
 _HALF_CELLS = 0.3
 
-# Turns farther off than this many times the median count less and less: jumps of a SLAM.
+# Residuals beyond this many medians get less weight: SLAM jumps.
 _TAIL = 3.0
 
-# Seven unknowns want more equations than these windows have.
+# Fewer windows are too few equations for seven unknowns.
 _LEAST_WINDOWS = 10
 
-# The regression is repeated, from where it led, until it moves by this share of its deviation.
+# The regression is iterated until a step is below this share of its standard deviation.
 _SETTLED = 0.1
 _MAX_ROUNDS = 10
 
-# Half-width (s/s) of what oscillators of computers and sensors differ by, and the least odds for a
-# drift: a crystal of ordinary tolerance needs about five of its deviations.
+# Half-width (s/s) of the prior of the drift, and the odds from which a drift is accepted: with
+# the tolerance of an ordinary crystal this is about five standard deviations.
 _USUAL, _ODDS = 2e-5, 1e4
 
-# Parts of the drive over which scores are summed for their variance; the mean of both.
+# Numbers of blocks over which scores are summed for their variance; the mean of both is used.
 _BLOCKS = (20, 10)
 
-# More than this (s/s) no clock differs from another: daemons that steer one stop at 5e-4.
+# No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
 _LARGEST = 1e-3
 
 
 class ClockDrift(NamedTuple):
-    """How much faster the clock of b must run to keep up with that of a.
+    """Clock drift of b.
 
-    Its ``rate`` (s/s) and the standard deviation of that; by how much a quarter of the time is off
-    this straight line, seconds, zero where that is not significant; the stamp of b, before any
-    offset, in the middle of the time that both have in common.
+    Attributes
+    ----------
+    rate : correction of the rate of the clock of b, s/s.
+    std : standard deviation of the rate, s/s.
+    uneven_s : largest deviation of a quarter of the drive from a constant drift, seconds; zero if
+        not significant.
+    from_ns : stamp of b, before any offset, in the middle of the common time span.
+
     """
 
     rate: float
@@ -69,21 +72,20 @@ class ClockDrift(NamedTuple):
 def find_clock_drift(
     a: Trajectory, b: Trajectory, offset_ns: int, cell_ns: int,
 ) -> ClockDrift | None:
-    """Return the drift of the clock of b, given the best constant offset of its stamps.
+    """Return the clock drift of b, given the best constant offset of its stamps.
 
-    None where it is not significant, the turning is too little or too even to tell, or no clock
-    drifts so much. Of a clock that was set on the way it is the straight line through what it did,
-    and uneven.
+    None if the drift is not significant, not observable from the rotations, or implausibly large.
+    For a clock that was stepped it is the best straight line, and ``uneven_s`` is not zero.
     """
-    turning = Turning.over_windows(a, b, offset_ns, cell_ns)
-    if turning is None:
+    increments = RotationIncrements.over_windows(a, b, offset_ns, cell_ns)
+    if increments is None:
         return None
     half_ns = half_width_ns(a, cell_ns)
-    half_s = 0.5 * turning.duration_s
-    line = np.column_stack([np.ones(len(turning)), _place(turning)])
+    half_s = 0.5 * increments.duration_s
+    line = np.column_stack([np.ones(len(increments)), _place(increments)])
     shift, rate = 0.0, 0.0
     for _ in range(_MAX_ROUNDS):
-        found = _regress(turning, shift, rate, half_ns, line)
+        found = _regress(increments, shift, rate, half_ns, line)
         if found is None:
             return None
         (shift_step, by_half), (_, std) = found
@@ -98,18 +100,17 @@ def find_clock_drift(
     std_rate = float(np.hypot(std, floor)) / half_s
     if not (is_significant(rate, std_rate, half_s) and _odds_of_drift(rate, std_rate) > _ODDS):
         return None
-    apart = _regress(turning, shift, rate, half_ns, _quarters(turning))
-    uneven_s = 0.0 if apart is None else max(
-        (abs(float(value)) for value, its_std in zip(*apart, strict=True)
+    by_quarter = _regress(increments, shift, rate, half_ns, _quarters(increments))
+    uneven_s = 0.0 if by_quarter is None else max(
+        (abs(float(value)) for value, its_std in zip(*by_quarter, strict=True)
          if is_significant(value, np.hypot(its_std, floor))), default=0.0)
-    return ClockDrift(float(rate), std_rate, uneven_s, turning.middle_ns - offset_ns)
+    return ClockDrift(float(rate), std_rate, uneven_s, increments.middle_ns - offset_ns)
 
 
 def _odds_of_drift(rate: float, std: float) -> float:
-    """Return how much more likely the data are with a drift of an ordinary clock than without.
+    """Return the Bayes factor of a drift with a Cauchy prior against no drift.
 
-    The Bayes factor of a Cauchy prior of the rate against zero, by Laplace's approximation: an
-    oscillator that is off by 900 ppm needs better evidence than one that is off by 20.
+    By Laplace's approximation. A drift of 900 ppm needs better evidence than one of 20 ppm.
     """
     prior = 1 / (np.pi * _USUAL * (1 + (rate / _USUAL)**2))
     exponent = min(0.5 * (rate / std)**2, 600.0)
@@ -117,109 +118,114 @@ def _odds_of_drift(rate: float, std: float) -> float:
 
 
 def half_width_ns(a: Trajectory, cell_ns: int) -> int:
-    """Return the half-width of the difference quotient by time, whole steps of a, nanoseconds."""
+    """Return the half-width of the difference quotient in time, whole steps of a, nanoseconds."""
     return round(a.usual_step_ns * max(1.0, np.ceil(_HALF_CELLS * cell_ns / a.usual_step_ns)))
 
 
 def _regress(
-    turning: Turning, shift: float, rate: float, half_ns: int, basis: FloatArray, *,
+    increments: RotationIncrements, shift: float, rate: float, half_ns: int, basis: FloatArray, *,
     gain: bool = False,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return (n,) further shifts (s) and their deviations, from windows moved already.
+    """Return (n,) corrections of the shift (s) and their standard deviations.
 
-    They go with the (K, n) columns of the ``basis``; the rotation between the sensors takes part
-    with three of its own, and a gain of the turning with one where it is asked for.
+    They are the coefficients of the (K, n) columns of the ``basis``, about the given ``shift`` and
+    ``rate``. The rotation between the sensors is estimated with them, and with ``gain`` also a
+    scale factor of the rotations.
     """
     shift_ns = round(shift * 1e9)
-    (of_a, later, earlier), _ = turning.of_a_with_noise(
+    (rotations_a, later, earlier), _ = increments.rotations_a_with_noise(
         shift_ns + half_ns * np.array([0, 1, -1]), rate)
     slope = (later - earlier) / (2e-9 * half_ns)
-    # Who turns at a constant rate agrees at any offset, but for rounding.
-    if np.sum(slope**2) * (half_ns * 1e-9)**2 <= ROUNDING * np.sum(of_a**2):
+    # Rotation at a constant rate fits at any offset, but for rounding.
+    if np.sum(slope**2) * (half_ns * 1e-9)**2 <= ROUNDING * np.sum(rotations_a**2):
         return None
-    known = turning.known(shift_ns, rate, half_ns)
+    known = increments.known(shift_ns, rate, half_ns)
     if known.sum() < _LEAST_WINDOWS:
         return None
-    R = se3.nearest_rotation(of_a[known].T @ turning.of_b[known])
-    residual = turning.of_b @ R.T - of_a
-    others = [-se3.skew(of_a), of_a[:, :, None]][:1 + gain]
+    R = se3.nearest_rotation(rotations_a[known].T @ increments.rotations_b[known])
+    residual = increments.rotations_b @ R.T - rotations_a
+    others = [-se3.skew(rotations_a), rotations_a[:, :, None]][:1 + gain]
     J, J_quarters = (
         np.concatenate([slope[:, :, None] * columns[:, None, :], *others], axis=2)
-        for columns in (basis, _quarters(turning)))
+        for columns in (basis, _quarters(increments)))
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.median(size[known])), np.finfo(float).tiny)
     weights = known / (1 + (size / (_TAIL * usual))**2)
     step, inverse = _fit(J, weights, residual)
     rest = residual - J @ step
-    variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * turning.overlapping)
+    variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * increments.overlapping)
     weighted = weights[:, None, None] * J
     white = variance * inverse @ _gram(weighted, weighted) @ inverse
-    # Beside what a clock that was set does: that is no noise, but for find_clock_drift to say.
+    # Without the effect of a stepped clock, which is no noise: find_clock_drift reports it.
     beside, _ = _fit(J_quarters, weights, rest)
     scores = np.einsum('kij,ki->kj', weighted, rest - J_quarters @ beside) @ inverse
     n = basis.shape[1]
     squares = np.diag(white)[:n]
-    # Quarters of the time are themselves what the blocks are compared within.
+    # The blocks are compared within the quarters, so they say nothing about the quarters.
     if n < 4:
         squares = np.maximum(squares, _squares_of_blocks(scores)[:n])
     return step[:n], np.sqrt(np.maximum(squares, 0.0))
 
 
-def shifts_along(
-    turning: Turning, half_ns: int, basis: FloatArray,
+def fit_offsets(
+    increments: RotationIncrements, half_ns: int, basis: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return (n,) shifts (s) that go with (K, n) columns, and their deviations, without a drift.
+    """Return (n,) clock offsets (s) of (K, n) basis columns, and their standard deviations.
 
-    Also of wheels, which turn by a gain more; None where the rotation does not tell.
+    A scale factor of the rotations is estimated too (wheel odometry). None if the rotations do not
+    determine the offsets.
     """
-    return _regress(turning, 0.0, 0.0, half_ns, basis, gain=True)
+    return _regress(increments, 0.0, 0.0, half_ns, basis, gain=True)
 
 
 def _fit(
     J: FloatArray, weights: FloatArray, residual: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the (n,) least squares for (K, 3, n) J, (K, 3) residuals, and the inverse normal."""
+    """Return the (n,) weighted least-squares solution and the (n, n) inverse normal matrix.
+
+    ``J`` is (K, 3, n), ``weights`` (K,), ``residual`` (K, 3).
+    """
     weighted = weights[:, None, None] * J
-    # About an axis that nothing turned about, the rotation is open: no part of the answer.
+    # A pseudo-inverse, because the rotation about an unused axis is undetermined.
     inverse = np.asarray(
         np.linalg.pinv(_gram(weighted, J), rcond=ROUNDING, hermitian=True), dtype=np.float64)
     return inverse @ _gram(weighted, residual), inverse
 
 
 def _gram(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return (n, m) or (n,): products of (K, 3, n) and (K, 3, m) or (K, 3), summed over K."""
+    """Return the (n, m) or (n,) sum over K of (K, 3, n) times (K, 3, m) or (K, 3)."""
     rows = left.reshape(-1, left.shape[2]).T
     result: FloatArray = rows @ right.reshape(rows.shape[1], *right.shape[2:])
     return result
 
 
-def _place(turning: Turning) -> FloatArray:
-    """Return (K,) where each window lies in the common time, from -1 to 1."""
-    since_middle = (turning.starts_ns - turning.middle_ns) + (turning.ends_ns - turning.middle_ns)
-    return since_middle.astype(np.float64) * (1e-9 / turning.duration_s)
+def _place(increments: RotationIncrements) -> FloatArray:
+    """Return the (K,) position of each window in the common time span, from -1 to 1."""
+    starts, ends = (stamps - increments.middle_ns
+                    for stamps in (increments.starts_ns, increments.ends_ns))
+    return (starts + ends).astype(np.float64) * (1e-9 / increments.duration_s)
 
 
-def _quarters(turning: Turning) -> FloatArray:
-    """Return (K, 4), 1 in the column of the quarter of the time in which a window lies."""
-    quarter = np.floor(2 * np.clip(_place(turning), -0.999, 0.999))
+def _quarters(increments: RotationIncrements) -> FloatArray:
+    """Return (K, 4) indicators of the quarter of the time span in which a window lies."""
+    quarter = np.floor(2 * np.clip(_place(increments), -0.999, 0.999))
     columns: FloatArray = (quarter[:, None] == np.arange(-2, 2)).astype(np.float64)
     return columns
 
 
-def offset_deviation(turning: Turning, shift: float, half_ns: int) -> float:
-    """Return the standard deviation of a shift (s) of least disagreement, by the same regression.
+def offset_deviation(increments: RotationIncrements, shift: float, half_ns: int) -> float:
+    """Return the standard deviation of a shift (s), from the same regression.
 
-    Zero where the rotation does not tell.
+    Zero if the rotations do not determine it.
     """
-    found = _regress(turning, shift, 0.0, half_ns, np.ones((len(turning), 1)))
+    found = _regress(increments, shift, 0.0, half_ns, np.ones((len(increments), 1)))
     return 0.0 if found is None else float(found[1][0])
 
 
 def _squares_of_blocks(scores: FloatArray) -> FloatArray:
-    """Return (n,) variances of the sum of (K, n) scores, from how sums over long blocks scatter.
+    """Return the (n,) variances of the sum of (K, n) scores, from sums over long blocks.
 
-    The errors of a SLAM go on for seconds: windows beside each other share them, and their own
-    scatter is too little (the sandwich over clusters).
+    SLAM errors are correlated over seconds, so neighbouring windows share them (cluster sandwich).
     """
     found = []
     for count in _BLOCKS:

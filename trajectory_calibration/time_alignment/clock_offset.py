@@ -1,12 +1,12 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What takes the stamps of one sensor into the clock of another, from when each of them turned.
+"""Clock offset between two sensors, from their rotations.
 
-Both sensors turn by the same angles about axes that differ by one constant rotation, wherever
-they are mounted, so that the times of turning tell the offset before anything else is known. The
-offsets that a grid leaves possible (``cross_correlation.py``) are refined between its cells.
-Motion that repeats itself, or is over soon, agrees at several: of those that chance leaves
-undecided the one nearest to what was given is taken, and the others are named.
+Both sensors of a vehicle rotate by the same angles, about axes that differ by one constant
+rotation. This gives the clock offset before the extrinsic is known. Candidates come from a grid
+(``cross_correlation.py``) and are refined between its cells. Periodic or short motion fits several
+offsets: of those that are not significantly worse, the one nearest to the given offset is taken,
+and the others are reported.
 """
 
 from __future__ import annotations
@@ -27,45 +27,44 @@ from trajectory_calibration.time_alignment.clock_drift import (
     offset_deviation,
 )
 from trajectory_calibration.time_alignment.cross_correlation import (
-    chance_factor,
+    chance_ratio,
     find_coarse_offset,
 )
 from trajectory_calibration.time_alignment.rotation_increments import (
     is_significant,
-    largest_gain,
+    kabsch_gain,
+    RotationIncrements,
     ROUNDING,
     STEP_SHARE,
-    Turning,
 )
 
-# The parabolas that refine the offset go through this many points. The first ones reach over this
-# many cells to either side; the last ones less, but not much less than a step of a: a narrower
-# one would follow the noise, which interpolation halves between two samples, and find a valley
-# where the stamps coincide.
+# The offset is refined by parabolas through this many points. The first ones span this many cells
+# on either side. The last ones are narrower, but not much less than a step of a: interpolation
+# halves the noise between two poses, which has a minimum of its own where stamps coincide.
 _POINTS = 9
 _REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
 _PARABOLAS = 2
-# Noise that is the same at all points, but for this share, is no column.
+# The noise is no regressor if it varies by less than this share over the points.
 _FLAT = 1e-3
 
-# Correlation below which the two did not turn together.
+# Correlation below which the two sensors did not rotate together.
 _LEAST_CORRELATION = 0.3
 
-# A refinement that runs to its end starts anew from there, so many times.
+# How often the refinement is restarted from the end of its range.
 _STARTS = 6
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """The offset of the clock of b, as its turning tells it.
+    """The clock offset of b, from the rotations.
 
     Attributes
     ----------
-    seconds : to be added to the stamps of b.
-    std : its standard deviation, seconds, from the scatter of the motions.
+    seconds : offset to be added to the stamps of b.
+    std : standard deviation of the offset, seconds.
     correlation : of the rotations at that offset, 0 to 1.
-    cell_ns : of the grid on which they were compared.
-    rivals : other offsets, seconds, at which the two agree as well, as far as chance can tell.
+    cell_ns : length of a cell of the coarse search.
+    alternatives : other offsets, seconds, that do not fit significantly worse.
 
     """
 
@@ -73,26 +72,26 @@ class ClockOffset:
     std: float
     correlation: float
     cell_ns: int
-    rivals: tuple[float, ...] = ()
+    alternatives: tuple[float, ...] = ()
 
     @property
     def significant(self) -> bool:
-        """Tell whether the sensors turned together, and zero is out of the question."""
+        """Return whether the sensors rotated together and the offset is not zero."""
         return self.correlation >= _LEAST_CORRELATION and is_significant(self.seconds, self.std)
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What takes the stamps of b into the clock of a.
+    """The correction of the stamps of b to the clock of a.
 
     Attributes
     ----------
-    offset_s : seconds to add to the stamps of b, ``retimed`` by the drift.
-    drift : seconds a second by which the clock of b must run faster (``Trajectory.retimed``).
-    drift_from_ns : stamp of b at which that adds nothing.
-    drift_std : standard deviation of the drift.
-    uneven_s : by how much the clock of b is off these at some time, seconds.
-    rivals_s : other offsets that the turning allows.
+    offset_s : seconds to add to the stamps of b after the drift correction.
+    drift : correction of the rate of the clock of b, s/s (``Trajectory.retimed``).
+    drift_from_ns : stamp of b at which the drift correction is zero.
+    drift_std : standard deviation of the drift, s/s.
+    uneven_s : largest deviation of the clock of b from a constant drift, seconds.
+    alternatives_s : other clock offsets that fit as well, seconds.
 
     """
 
@@ -101,23 +100,23 @@ class Clock:
     drift_from_ns: int = 0
     drift_std: float = 0.0
     uneven_s: float = 0.0
-    rivals_s: tuple[float, ...] = ()
+    alternatives_s: tuple[float, ...] = ()
 
     def findings(self, given_s: float, frame_b: str, duration_b_s: float) -> tuple[Finding, ...]:
-        """Say what was found of the clocks; ``given_s`` is the offset of the settings."""
+        """Return the findings about the clocks; ``given_s`` is the offset of the settings."""
         found = []
         if self.offset_s != given_s:
             offset_s = self.offset_s - given_s
             found.append(Finding(
                 'clock-offset', f'clock offset {1e3 * offset_s:+.1f} ms found from the rotation '
                 f'of both sensors and added to the stamps of {frame_b}', {'offset_s': offset_s}))
-        if self.rivals_s:
-            others = ', '.join(f'{seconds:+.3f} s' for seconds in self.rivals_s[:3])
-            fits = 'fits' if len(self.rivals_s) == 1 else 'fit'
+        if self.alternatives_s:
+            others = ', '.join(f'{seconds:+.3f} s' for seconds in self.alternatives_s[:3])
+            fits = 'fits' if len(self.alternatives_s) == 1 else 'fit'
             found.append(Finding(
                 'clock-ambiguous', f'Clock offset ambiguous: {others} {fits} as well, with '
                 'another extrinsic. Record irregular motion, or fix time_offset with '
-                'time_offset_mode fixed', {'others_s': list(self.rivals_s)}))
+                'time_offset_mode fixed', {'others_s': list(self.alternatives_s)}))
         if self.drift:
             apart_ms = abs(1e3 * self.drift * duration_b_s)
             found.append(Finding(
@@ -136,7 +135,7 @@ class Clock:
 def in_total(
     before_s: float, after_s: float, findings: Sequence[Finding],
 ) -> tuple[Finding, ...]:
-    """Return findings that tell of one clock offset where the solver found more of it."""
+    """Merge the clock offset of the alignment and that of the solver into one finding."""
     parts = [found for found in findings if found.code == 'clock-offset']
     if len(parts) < 2:
         return tuple(findings)
@@ -150,13 +149,13 @@ def in_total(
 def synchronise(
     a: Trajectory, b: Trajectory, time_offset_s: float, mode: str, max_offset_s: float,
 ) -> Clock:
-    """Return what to do with the stamps of b.
+    """Return the correction of the stamps of b.
 
-    ``mode`` is 'fixed': ``time_offset_s`` as given; 'estimate': what the turning tells, within
-    ``max_offset_s`` of it; 'auto': the same where it is significantly different. Unless the mode
-    is fixed, a drift of the clock is told where it is significant.
+    ``mode`` is 'fixed' (use ``time_offset_s``), 'estimate' (search within ``max_offset_s`` of it)
+    or 'auto' (the same, used if significantly different). Unless the mode is 'fixed', a
+    significant clock drift is corrected as well.
 
-    Raise AssociationError where 'estimate' was asked for, and the turning does not tell.
+    Raise AssociationError if the mode is 'estimate' and no offset is found.
     """
     if mode == 'fixed' or max_offset_s == 0:
         return Clock(time_offset_s)
@@ -170,74 +169,74 @@ def synchronise(
             f'the clock offset within {max_offset_s:g} s cannot be found: {a.sensor_frame} and '
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
             'raise max_time_offset')
-    rivals = tuple(time_offset_s + seconds for seconds in found.rivals)
+    alternatives = tuple(time_offset_s + seconds for seconds in found.alternatives)
     seconds = found.seconds if mode == 'estimate' or found.significant else 0.0
     drift = find_clock_drift(a, shifted, round(seconds * 1e9), found.cell_ns)
     if drift is not None:
         retimed = find_clock_offset(
             a, shifted.retimed(drift.rate, drift.from_ns), max_offset_s)
-        # An offset of the drifting clock is none of the other one.
+        # The offset of the drifting clock is not that of the corrected one.
         if retimed is not None:
             return Clock(time_offset_s + retimed.seconds, drift.rate,
-                         drift.from_ns - shift_ns, drift.std, drift.uneven_s, rivals)
-    return Clock(time_offset_s + seconds, rivals_s=rivals)
+                         drift.from_ns - shift_ns, drift.std, drift.uneven_s, alternatives)
+    return Clock(time_offset_s + seconds, alternatives_s=alternatives)
 
 
 def find_clock_offset(
     a: Trajectory, b: Trajectory, max_offset_s: float,
 ) -> ClockOffset | None:
-    """Return the offset within ``max_offset_s`` at which b turned with a.
+    """Return the clock offset of b within ``max_offset_s``.
 
-    None where the trajectories have too little time in common or did not turn, or agree best at
-    the limit or beyond it: an offset cannot be told then, which is no error as long as the clocks
-    agree.
+    None where the trajectories overlap or rotate too little, or fit best at the limit or beyond
+    it. The offset is then unknown, which is no error if the clocks agree.
     """
     coarse = find_coarse_offset(a, b, max_offset_s)
     if coarse is None:
         return None
-    valleys: list[_Valley] = []
+    minima: list[_Minimum] = []
     for start_ns in coarse.starts_ns:
-        valley = _valley(a, b, start_ns, coarse.cell_ns)
-        # Beyond the limit it is the slope of one whose ground was not looked at.
-        within = valley is not None and abs(valley.seconds) <= max_offset_s
-        if not within and not valleys:
+        minimum = _local_minimum(a, b, start_ns, coarse.cell_ns)
+        # Beyond the limit it is the edge of a minimum that was not searched.
+        within = minimum is not None and abs(minimum.seconds) <= max_offset_s
+        if not within and not minima:
             return None
-        if valley is not None and within:
-            valleys.append(valley)
-    lowest = min(valleys, key=lambda valley: valley.disagreement)
-    ahead = [valley for valley in valleys if not valley.is_above(lowest)]
-    nearest = min(ahead, key=lambda valley: abs(valley.seconds))
-    # Several starts may lead to one place.
-    apart_s = coarse.cell_ns * 1e-9
-    rivals = {round(valley.seconds / apart_s): valley.seconds for valley in ahead
-              if abs(valley.seconds - nearest.seconds) > apart_s}
+        if minimum is not None and within:
+            minima.append(minimum)
+    best = min(minima, key=lambda minimum: minimum.disagreement)
+    candidates = [minimum for minimum in minima if not minimum.is_worse_than(best)]
+    nearest = min(candidates, key=lambda minimum: abs(minimum.seconds))
+    # Several starts may lead to one minimum.
+    cell_s = coarse.cell_ns * 1e-9
+    alternatives = {round(minimum.seconds / cell_s): minimum.seconds for minimum in candidates
+              if abs(minimum.seconds - nearest.seconds) > cell_s}
     return ClockOffset(nearest.seconds, nearest.std, coarse.correlation, coarse.cell_ns,
-                       tuple(sorted(rivals.values(), key=abs)))
+                       tuple(sorted(alternatives.values(), key=abs)))
 
 
-def _valley(a: Trajectory, b: Trajectory, start_ns: int, cell_ns: int) -> _Valley | None:
-    """Return the offset of least disagreement near a first guess, or None where none is."""
+def _local_minimum(a: Trajectory, b: Trajectory, start_ns: int, cell_ns: int) -> _Minimum | None:
+    """Return the local minimum of the disagreement near a first guess, or None."""
     for _ in range(_STARTS):
-        turning = Turning.over_windows(a, b, start_ns, cell_ns)
-        found = None if turning is None else _refine(turning, cell_ns * 1e-9)
-        if turning is None or found is None:
+        increments = RotationIncrements.over_windows(a, b, start_ns, cell_ns)
+        found = None if increments is None else _refine(increments, cell_ns * 1e-9)
+        if increments is None or found is None:
             return None
-        shift, valley = found
-        if valley is not None:
-            scatter = offset_deviation(turning, shift, half_width_ns(a, cell_ns))
-            valley = valley._replace(
-                seconds=start_ns * 1e-9 + shift, std=max(valley.std, scatter))
-            return _no_better_than_none(turning, valley, start_ns)
-        # It goes on beyond: noise that interpolation averages may put the first guess cells off.
+        shift, minimum = found
+        if minimum is not None:
+            scatter = offset_deviation(increments, shift, half_width_ns(a, cell_ns))
+            minimum = minimum._replace(
+                seconds=start_ns * 1e-9 + shift, std=max(minimum.std, scatter))
+            return _zero_unless_better(increments, minimum, start_ns)
+        # The minimum is farther away: interpolated noise may put the first guess off by cells.
         start_ns += round(shift * 1e9)
     return None
 
 
-class _Valley(NamedTuple):
-    """An offset at which the two agree better than at those around it, and its deviation.
+class _Minimum(NamedTuple):
+    """A local minimum of the disagreement.
 
-    ``disagreement`` is the mean squared difference of their turns over a window, squared radians,
-    ``samples`` the number of independent windows.
+    ``seconds`` and ``std`` are the offset and its standard deviation, ``disagreement`` is the mean
+    squared difference of the rotations over a window, squared radians, and ``samples`` the number
+    of independent windows.
     """
 
     seconds: float
@@ -245,66 +244,70 @@ class _Valley(NamedTuple):
     disagreement: float
     samples: float
 
-    def is_above(self, other: _Valley) -> bool:
-        """Tell whether the two agree less here, by more than chance."""
-        chance = chance_factor(np.array(self.samples), other.samples)
+    def is_worse_than(self, other: _Minimum) -> bool:
+        """Return whether the disagreement is significantly larger than at another minimum."""
+        chance = chance_ratio(np.array(self.samples), other.samples)
         return self.disagreement > other.disagreement * float(chance)
 
 
-def _refine(turning: Turning, cell_s: float) -> tuple[float, _Valley | None] | None:
-    """Return the shift of least disagreement near that of the windows, and how good it is.
+def _refine(increments: RotationIncrements, cell_s: float) -> tuple[float, _Minimum | None] | None:
+    """Return the shift to the least disagreement, seconds, and the minimum there.
 
-    No valley where it lies farther away than was looked, in the direction of the shift; None alone
-    where there is no least disagreement.
+    The minimum is None if it is out of reach in the direction of the shift. The result is None if
+    there is no minimum at all.
     """
-    step_a_s = turning.a.usual_step_ns * 1e-9
+    step_a_s = increments.a.usual_step_ns * 1e-9
     widest = _REACH_CELLS * cell_s
     last = min(max(_LAST_REACH_STEPS * step_a_s, _LAST_REACH_CELLS * cell_s), widest)
     shift, curvature = 0.0, 0.0
     for reach_s in [widest] * _PARABOLAS + [last] * _PARABOLAS:
         around = np.linspace(-1.0, 1.0, _POINTS)
-        values, noise = _disagreement(turning, shift + reach_s * around)
-        # Interpolation averages noise, the most half-way between two poses: what it takes away
-        # there is no agreement, but one more column.
+        values, noise = _disagreement(increments, shift + reach_s * around)
+        # Interpolation averages noise, most half-way between two poses. The reduction is no
+        # agreement: it is one more regressor.
         columns = np.column_stack([around**2, around, np.ones(_POINTS), noise - noise.mean()])
         square, slope, *_ = np.linalg.lstsq(columns, values, rcond=_FLAT)[0]
         curvature, slope = 2 * float(square) / reach_s**2, float(slope) / reach_s
-        # Who turns at a constant rate agrees at any offset, but for rounding.
-        if curvature * reach_s**2 <= ROUNDING * turning.turned:
+        # Rotation at a constant rate fits at any offset, but for rounding.
+        if curvature * reach_s**2 <= ROUNDING * increments.energy_b:
             return None
         shift -= slope / curvature
         if abs(shift) > widest:
             return float(np.clip(shift, -widest, widest)), None
-    # Without noise the disagreement is rounding, which may fall below zero, and what the motion
-    # between the poses of a leaves open.
-    rest = (max(_disagreement_at(turning, shift), 0.0)
+    # Without noise the disagreement is rounding, maybe negative, plus the interpolation error.
+    rest = (max(_disagreement_at(increments, shift), 0.0)
             + 0.5 * curvature * (STEP_SHARE * step_a_s)**2)
-    variance = rest / (3 * len(turning)) * turning.overlapping
+    variance = rest / (3 * len(increments)) * increments.overlapping
     std = np.hypot(np.sqrt(2 * variance / curvature), STEP_SHARE * step_a_s)
-    return shift, _Valley(
-        shift, float(std), rest / len(turning), len(turning) / turning.overlapping)
+    return shift, _Minimum(
+        shift, float(std), rest / len(increments), len(increments) / increments.overlapping)
 
 
-def _disagreement(turning: Turning, shifts_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (S,) sums of squared differences after shifts, and (S,) the shares of noise in a."""
-    turned_a, noise = turning.of_a_with_noise(np.rint(1e9 * shifts_s).astype(np.int64))
-    M = np.moveaxis(turned_a, -1, -2) @ turning.of_b
-    return (turned_a**2).sum(axis=(1, 2)) + turning.turned - 2 * largest_gain(M), noise
+def _disagreement(
+    increments: RotationIncrements, shifts_s: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return (S,) sums of squared differences after (S,) shifts, and (S,) noise variances of a."""
+    shifts_ns = np.rint(1e9 * shifts_s).astype(np.int64)
+    rotations_a, noise = increments.rotations_a_with_noise(shifts_ns)
+    M = np.moveaxis(rotations_a, -1, -2) @ increments.rotations_b
+    return (rotations_a**2).sum(axis=(1, 2)) + increments.energy_b - 2 * kabsch_gain(M), noise
 
 
-def _disagreement_at(turning: Turning, shift_s: float) -> float:
-    return float(_disagreement(turning, np.array([shift_s]))[0][0])
+def _disagreement_at(increments: RotationIncrements, shift_s: float) -> float:
+    return float(_disagreement(increments, np.array([shift_s]))[0][0])
 
 
-def _no_better_than_none(turning: Turning, valley: _Valley, start_ns: int) -> _Valley:
-    """Return an offset of zero where the two disagree there no more than at the one found.
+def _zero_unless_better(
+    increments: RotationIncrements, minimum: _Minimum, start_ns: int,
+) -> _Minimum:
+    """Return an offset of zero if the two sensors agree there as well as at the minimum.
 
-    Of sensors with few poses a second, interpolation is worse than noise: what is found then is
-    where it does the least harm, and where their stamps coincide it does none.
+    At low rates the interpolation error exceeds the noise and moves the minimum. It is zero where
+    the stamps coincide.
     """
-    if abs(start_ns) > turning.a.usual_step_ns:
-        return valley
-    at_zero = _disagreement_at(turning, -start_ns * 1e-9) / len(turning)
-    if at_zero > valley.disagreement:
-        return valley
-    return valley._replace(seconds=0.0, std=max(valley.std, abs(valley.seconds)))
+    if abs(start_ns) > increments.a.usual_step_ns:
+        return minimum
+    at_zero = _disagreement_at(increments, -start_ns * 1e-9) / len(increments)
+    if at_zero > minimum.disagreement:
+        return minimum
+    return minimum._replace(seconds=0.0, std=max(minimum.std, abs(minimum.seconds)))

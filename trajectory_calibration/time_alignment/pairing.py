@@ -23,21 +23,21 @@ from trajectory_calibration.geometry.interpolation import interpolate, left_of
 # Stamps closer than this are one instant: rounding to microseconds.
 COINCIDENCE_NS = 1_000_000
 
-# 'auto' keeps to poses of b this near to a pose of a, or in a gap this short (the step of a
-# sensor at 10 Hz, and half of it more), where this share of all is: over longer gaps the twist
-# changes, and what interpolation guesses wrong is more than a coinciding pose is worth.
+# 'auto' uses only poses of b this near to a pose of a, or in a gap this short (1.5 steps at
+# 10 Hz), if they are at least this share of all. Over longer gaps the velocity changes, and the
+# interpolation error outweighs the additional poses.
 _NEAR_NS = 10_000_000
 _SHORT_GAP_NS = 150_000_000
 _NEAR_SHARE = 0.5
 
-# Beyond this share of poses without a partner, the result says so: too much was not used.
+# Share of unpaired poses from which on there is a finding.
 UNPAIRED_SHARE = 0.1
 
-# Poses of two sensors, metres and cosines, are never as equal as this: files round to microns.
+# Two sensors never have poses as equal as this (metres and cosines); files round to microns.
 _SAME = 1e-5
 
-# 'auto' interpolates the other one where the steps of a are this many times those of b: chords
-# between sparse poses are shorter than the way, which would pass for an error of scale.
+# 'auto' interpolates b if the steps of a are this many times longer than those of b: chords
+# between sparse poses are shorter than the path, which would appear as an error of scale.
 _SPARSER = 1.5
 
 
@@ -48,12 +48,12 @@ def associate(
     """Pair the poses of two trajectories over their common time span.
 
     ``method`` is 'nearest' (``associate_nearest``), 'interpolate' (``associate_by_interpolation``)
-    or 'auto'. That interpolates the one with more poses a second, a where they are about equal,
-    but where at least half of the poses of the other lie within 10 ms of a pose of it or in a gap
-    of at most 0.15 s, only these: keyframes of one trigger need no guess of what happened between
-    two poses. ``time_offset_ns`` is added to the stamps of b.
+    or 'auto'. 'auto' interpolates the trajectory with the higher rate, or a if they are similar.
+    If at least half of the poses of the other one lie within 10 ms of a pose, or in a gap of at
+    most 0.15 s, only these are used: keyframes with a common trigger need no interpolation.
+    ``time_offset_ns`` is added to the stamps of b.
 
-    Raise AssociationError where they do not overlap in time, or for fewer than three pairs;
+    Raise AssociationError if they do not overlap in time or give fewer than three pairs,
     ConfigError for an unknown method.
     """
     if method not in METHODS:
@@ -62,26 +62,26 @@ def associate(
         return associate_nearest(
             a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
     if method == 'auto' and is_sparser(a.stamps_ns, b.stamps_ns):
-        # Asked here, because the offset that it names is one to add to the stamps of b.
+        # Checked here, because the message names an offset to add to the stamps of b.
         _require_overlap(a, b.stamps_ns + time_offset_ns, b.sensor_frame, time_offset_ns)
         pairs = associate_by_interpolation(
             b, a, max_gap_ns=max_gap_ns, time_offset_ns=-time_offset_ns, prefer_near=True)
-        return _mirrored(pairs, time_offset_ns)
+        return _swapped(pairs, time_offset_ns)
     return associate_by_interpolation(
         a, b, max_gap_ns=max_gap_ns, time_offset_ns=time_offset_ns,
         prefer_near=method == 'auto')
 
 
 def is_sparser(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> bool:
-    """Tell whether 'auto' interpolates b at the stamps of a rather than a at those of b."""
+    """Return whether 'auto' interpolates b at the stamps of a, not a at those of b."""
     if min(len(stamps_a), len(stamps_b)) < 2:
         return False
     step_a, step_b = (np.median(np.diff(stamps)) for stamps in (stamps_a, stamps_b))
     return bool(step_a > _SPARSER * step_b)
 
 
-def _mirrored(pairs: PosePairs, time_offset_ns: int) -> PosePairs:
-    """Return pairs of a and b, in the clock of a, from those of b and a in the clock of b."""
+def _swapped(pairs: PosePairs, time_offset_ns: int) -> PosePairs:
+    """Exchange a and b in pairs, and change from the clock of b to that of a."""
     summary = replace(
         pairs.summary, time_offset_s=time_offset_ns * 1e-9, poses_a=pairs.summary.poses_b,
         poses_b=pairs.summary.poses_a, stamps_of='a')
@@ -93,9 +93,8 @@ def associate_nearest(
 ) -> PosePairs:
     """Pair each pose of b with the nearest of a, one to one, within ``max_difference_ns``.
 
-    Two poses are paired when each is the nearest of the other, which leaves no pose in two
-    pairs and needs no order of preference. The stamps of the pairs are those of b in the clock
-    of a.
+    Two poses are paired if each is the nearest of the other, so no pose is in two pairs. The
+    stamps of the pairs are those of b in the clock of a.
     """
     stamps_b = b.stamps_ns + time_offset_ns
     _require_overlap(a, stamps_b, b.sensor_frame, time_offset_ns)
@@ -143,7 +142,7 @@ def associate_by_interpolation(
     summary = _summarise(
         'interpolate', a, stamps_b, j, time_offset_ns, near=bridged, between=between)
     _require_pairs(summary, a, b, f'{summary.in_gaps} fall in gaps of {a.sensor_frame} longer '
-                   f'than {(max_gap_ns or 0) * 1e-9:g} s. {_ways_out(a.stamps_ns, stamps_b)}')
+                   f'than {(max_gap_ns or 0) * 1e-9:g} s. {_advice(a.stamps_ns, stamps_b)}')
     return PosePairs(stamps_b[j], poses_a, b.poses[j], summary)
 
 
@@ -188,8 +187,8 @@ def _require_pairs(summary: AssociationSummary, a: Trajectory, b: Trajectory, wh
             f'least {MIN_PAIRS}; {why}')
 
 
-def _ways_out(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:
-    """Return the settings that pair poses whose gaps are too long to be bridged."""
+def _advice(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> str:
+    """Return the settings that pair poses whose gaps are too long to interpolate."""
     apart_s = 1e-9 * float(np.abs(stamps_a[_nearest(stamps_a, stamps_b)] - stamps_b).max())
     step_s = 1e-9 * float(np.median(np.diff(stamps_a)))
     # Rounded up, so that the setting that is named suffices.
@@ -205,7 +204,7 @@ def _summarise(
     method: str, a: Trajectory, stamps_b: NDArray[np.int64], paired: NDArray[np.intp],
     time_offset_ns: int, *, near: NDArray[np.bool_], between: int = 0,
 ) -> AssociationSummary:
-    """Count the (N,) poses of b; ``near`` are those with a pose of a near enough."""
+    """Count the (N,) poses of b; ``near`` is true where a pose of a is near enough."""
     inside = _inside(a, stamps_b)
     difference = np.abs(a.stamps_ns[_nearest(a.stamps_ns, stamps_b[paired])] - stamps_b[paired])
     return AssociationSummary(
@@ -225,7 +224,7 @@ def _summarise(
 def association_findings(
     pairs: PosePairs, a: Trajectory, b: Trajectory,
 ) -> tuple[Finding, ...]:
-    """Name what the association left unused, where it is much, and sensors that are one."""
+    """Return findings about many unpaired poses, identical poses and equal frame names."""
     found, summary = [], pairs.summary
     one, other = (b, a) if summary.stamps_of == 'b' else (a, b)
     for code, count, where in (
@@ -237,7 +236,7 @@ def association_findings(
             found.append(Finding(
                 code, f'{share:.0%} of the poses of {one.sensor_frame} {where}: unused',
                 {'share': share}))
-    # In another format or at another rate the same poses differ by rounding.
+    # The same poses in another format or at another rate differ by rounding.
     if np.median(np.abs(pairs.poses_a - pairs.poses_b).max(axis=(1, 2))) < _SAME:
         found.append(Finding(
             'poses-identical', f'{a.sensor_frame} and {b.sensor_frame} report identical poses: '
