@@ -13,14 +13,17 @@ from typing import NamedTuple
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.time_alignment.clock_drift import fit_offsets, half_width_ns
+from trajectory_calibration.time_alignment.clock_drift import (
+    fit_offsets,
+    half_width_ns,
+    LEAST_WINDOWS,
+)
 from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.cross_correlation import cell_between
 from trajectory_calibration.time_alignment.rotation_increments import RotationIncrements
 
 # The drive is split into parts with the same angular acceleration energy.
 _PARTS = 12
-_LEAST_WINDOWS = 10
-_LEAST_CELL_NS = 5_000_000
 
 
 class Steadiness(NamedTuple):
@@ -40,9 +43,9 @@ class Steadiness(NamedTuple):
 def offset_steadiness(a: Trajectory, b: Trajectory, clock: Clock) -> Steadiness | None:
     """Return how steady the clock offset of b is; None if the rotations do not determine it."""
     b = b.retimed(clock.drift, clock.drift_from_ns)
-    cell_ns = round(max(a.usual_step_ns / 2, b.usual_step_ns / 2, _LEAST_CELL_NS))
+    cell_ns = cell_between(a, b)
     increments = RotationIncrements.over_windows(a, b, round(clock.offset_s * 1e9), cell_ns)
-    if increments is None or len(increments) < _PARTS * _LEAST_WINDOWS:
+    if increments is None or len(increments) < _PARTS * LEAST_WINDOWS:
         return None
     half_ns = half_width_ns(a, cell_ns)
     # Not parts of equal time: a stationary vehicle gives no information on clocks.

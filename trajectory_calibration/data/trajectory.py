@@ -29,6 +29,9 @@ MAX_POSITION = 1e9
 # A step longer than this many usual ones, and half a second, is a gap, in which nothing is known.
 _GAP_STEPS, _GAP_NS = 5.0, 500_000_000
 
+# No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
+LARGEST_DRIFT = 1e-3
+
 # Time begins anew where it goes back by more than this, nanoseconds, in parts of so many poses.
 _ANEW_NS, _FEWEST_OF_A_PART = 1_000_000_000, 10
 

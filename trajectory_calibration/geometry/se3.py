@@ -25,6 +25,14 @@ FloatArray = NDArray[np.float64]
 # cut after the terms kept below, is exact to machine precision.
 _SMALL_ANGLE = 1e-2
 
+# Beyond this angle (radians) a rotation vector is not told from its opposite: half a turn one way
+# is half a turn the other way, and noise chooses.
+LARGEST_TURN = 2.6
+
+# A share of the largest eigenvalue of a sum of squares that is rounding: the square of the tilt,
+# 1e-6 rad, that files with nine digits keep.
+ROUNDING = 1e-12
+
 
 def skew(vectors: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) matrices whose product with w is the cross product of v and w."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import LARGEST_DRIFT, Trajectory
 from trajectory_calibration.errors import ConfigError, counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -21,9 +21,6 @@ START_NS = 1_700_000_000_000_000_000
 
 # Seconds by which a clock may be off: stamps stay those of a message, 32 bits from 0 up.
 _CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
-
-# Seconds a second: no oscillator is so bad, and no daemon that steers one.
-_MOST_DRIFT = 1e-3
 
 # Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
 _REACH = 0.5
@@ -64,9 +61,9 @@ class Sensor:
         if not low <= self.clock_offset <= high:
             raise ConfigError(
                 f'clock offset is {self.clock_offset}, needed {low} to {high} s')
-        if not abs(self.clock_drift) <= _MOST_DRIFT:
+        if not abs(self.clock_drift) <= LARGEST_DRIFT:
             raise ConfigError(
-                f'clock drift is {self.clock_drift}, needed plus or minus {_MOST_DRIFT} s/s')
+                f'clock drift is {self.clock_drift}, needed plus or minus {LARGEST_DRIFT} s/s')
         if not (self.gaps >= 0 and self.gap >= 0):
             raise ConfigError(
                 f'{self.gaps} gaps of {self.gap} s are asked for; needed numbers from 0 up')

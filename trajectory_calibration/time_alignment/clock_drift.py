@@ -14,13 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import LARGEST_DRIFT, Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.rotation_increments import (
     is_significant,
     RotationIncrements,
-    ROUNDING,
     STEP_SHARE,
 )
 
@@ -29,25 +28,12 @@ from trajectory_calibration.time_alignment.rotation_increments import (
 # sensors that hardly rotate, the beat of their two rates would appear as a significant drift.
 _HALF_CELLS = 0.3
 
-# Residuals beyond this many medians get less weight: SLAM jumps.
-_TAIL = 3.0
-
 # Fewer windows are too few equations for seven unknowns.
-_LEAST_WINDOWS = 10
-
-# The regression is iterated until a step is below this share of its standard deviation.
-_SETTLED = 0.1
-_MAX_ROUNDS = 10
+LEAST_WINDOWS = 10
 
 # Half-width (s/s) of the prior of the drift, and the odds from which a drift is accepted: with
 # the tolerance of an ordinary crystal this is about five standard deviations.
 _USUAL, _ODDS = 2e-5, 1e4
-
-# Numbers of blocks over which scores are summed for their variance; the mean of both is used.
-_BLOCKS = (20, 10)
-
-# No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
-_LARGEST = 1e-3
 
 
 class ClockDrift(NamedTuple):
@@ -84,15 +70,16 @@ def find_clock_drift(
     half_s = 0.5 * increments.duration_s
     line = np.column_stack([np.ones(len(increments)), _place(increments)])
     shift, rate = 0.0, 0.0
-    for _ in range(_MAX_ROUNDS):
+    for _ in range(10):
         found = _regress(increments, shift, rate, half_ns, line)
         if found is None:
             return None
         (shift_step, by_half), (_, std) = found
         shift, rate = shift + shift_step, rate + by_half / half_s
-        if abs(rate) > _LARGEST:
+        if abs(rate) > LARGEST_DRIFT:
             return None
-        if abs(by_half) <= _SETTLED * std:
+        # Iterated until a step is below a tenth of its standard deviation.
+        if abs(by_half) <= 0.1 * std:
             break
     else:
         return None
@@ -137,10 +124,10 @@ def _regress(
         shift_ns + half_ns * np.array([0, 1, -1]), rate)
     slope = (later - earlier) / (2e-9 * half_ns)
     # Rotation at a constant rate fits at any offset, but for rounding.
-    if np.sum(slope**2) * (half_ns * 1e-9)**2 <= ROUNDING * np.sum(rotations_a**2):
+    if np.sum(slope**2) * (half_ns * 1e-9)**2 <= se3.ROUNDING * np.sum(rotations_a**2):
         return None
     known = increments.known(shift_ns, rate, half_ns)
-    if known.sum() < _LEAST_WINDOWS:
+    if known.sum() < LEAST_WINDOWS:
         return None
     R = se3.nearest_rotation(rotations_a[known].T @ increments.rotations_b[known])
     residual = increments.rotations_b @ R.T - rotations_a
@@ -150,7 +137,8 @@ def _regress(
         for columns in (basis, _quarters(increments)))
     size = np.linalg.norm(residual, axis=1)
     usual = max(float(np.median(size[known])), np.finfo(float).tiny)
-    weights = known / (1 + (size / (_TAIL * usual))**2)
+    # Residuals beyond three medians get less weight: SLAM jumps.
+    weights = known / (1 + (size / (3 * usual))**2)
     step, inverse = _fit(J, weights, residual)
     rest = residual - J @ step
     variance = (np.sum(weights[:, None] * rest**2) / (3 * weights.sum()) * increments.overlapping)
@@ -188,7 +176,7 @@ def _fit(
     weighted = weights[:, None, None] * J
     # A pseudo-inverse, because the rotation about an unused axis is undetermined.
     inverse = np.asarray(
-        np.linalg.pinv(_gram(weighted, J), rcond=ROUNDING, hermitian=True), dtype=np.float64)
+        np.linalg.pinv(_gram(weighted, J), rcond=se3.ROUNDING, hermitian=True), dtype=np.float64)
     return inverse @ _gram(weighted, residual), inverse
 
 
@@ -228,7 +216,7 @@ def _squares_of_blocks(scores: FloatArray) -> FloatArray:
     SLAM errors are correlated over seconds, so neighbouring windows share them (cluster sandwich).
     """
     found = []
-    for count in _BLOCKS:
+    for count in (20, 10):
         if len(scores) >= 2 * count:
             edges = np.linspace(0, len(scores), count + 1).astype(int)[:-1]
             sums = np.add.reduceat(scores, edges, axis=0)

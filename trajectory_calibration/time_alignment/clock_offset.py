@@ -20,6 +20,7 @@ import numpy as np
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.time_alignment.clock_drift import (
     find_clock_drift,
@@ -34,24 +35,11 @@ from trajectory_calibration.time_alignment.rotation_increments import (
     is_significant,
     kabsch_gain,
     RotationIncrements,
-    ROUNDING,
     STEP_SHARE,
 )
 
-# The offset is refined by parabolas through this many points. The first ones span this many cells
-# on either side. The last ones are narrower, but not much less than a step of a: interpolation
-# halves the noise between two poses, which has a minimum of its own where stamps coincide.
-_POINTS = 9
-_REACH_CELLS, _LAST_REACH_CELLS, _LAST_REACH_STEPS = 1.5, 0.3, 0.75
-_PARABOLAS = 2
-# The noise is no regressor if it varies by less than this share over the points.
-_FLAT = 1e-3
-
 # Correlation below which the two sensors did not rotate together.
 _LEAST_CORRELATION = 0.3
-
-# How often the refinement is restarted from the end of its range.
-_STARTS = 6
 
 
 @dataclass(frozen=True)
@@ -215,7 +203,8 @@ def find_clock_offset(
 
 def _local_minimum(a: Trajectory, b: Trajectory, start_ns: int, cell_ns: int) -> _Minimum | None:
     """Return the local minimum of the disagreement near a first guess, or None."""
-    for _ in range(_STARTS):
+    # Restarted from the end of its range.
+    for _ in range(6):
         increments = RotationIncrements.over_windows(a, b, start_ns, cell_ns)
         found = None if increments is None else _refine(increments, cell_ns * 1e-9)
         if increments is None or found is None:
@@ -257,19 +246,21 @@ def _refine(increments: RotationIncrements, cell_s: float) -> tuple[float, _Mini
     there is no minimum at all.
     """
     step_a_s = increments.a.usual_step_ns * 1e-9
-    widest = _REACH_CELLS * cell_s
-    last = min(max(_LAST_REACH_STEPS * step_a_s, _LAST_REACH_CELLS * cell_s), widest)
+    # The last parabolas are narrower, but not much less than a step of a: interpolation halves
+    # the noise between two poses, which has a minimum of its own where stamps coincide.
+    widest = 1.5 * cell_s
+    last = min(max(0.75 * step_a_s, 0.3 * cell_s), widest)
+    around = np.linspace(-1.0, 1.0, 9)
     shift, curvature = 0.0, 0.0
-    for reach_s in [widest] * _PARABOLAS + [last] * _PARABOLAS:
-        around = np.linspace(-1.0, 1.0, _POINTS)
+    for reach_s in (widest, widest, last, last):
         values, noise = _disagreement(increments, shift + reach_s * around)
         # Interpolation averages noise, most half-way between two poses. The reduction is no
         # agreement: it is one more regressor.
-        columns = np.column_stack([around**2, around, np.ones(_POINTS), noise - noise.mean()])
-        square, slope, *_ = np.linalg.lstsq(columns, values, rcond=_FLAT)[0]
+        columns = np.column_stack([around**2, around, np.ones_like(around), noise - noise.mean()])
+        square, slope, *_ = np.linalg.lstsq(columns, values, rcond=1e-3)[0]
         curvature, slope = 2 * float(square) / reach_s**2, float(slope) / reach_s
         # Rotation at a constant rate fits at any offset, but for rounding.
-        if curvature * reach_s**2 <= ROUNDING * increments.energy_b:
+        if curvature * reach_s**2 <= se3.ROUNDING * increments.energy_b:
             return None
         shift -= slope / curvature
         if abs(shift) > widest:

@@ -20,21 +20,10 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.time_alignment.rotation_increments import kabsch_gain
-
-# Largest number of cells.
-_MAX_CELLS = 2**18
+from trajectory_calibration.time_alignment.rotation_increments import kabsch_gain, SIGNIFICANT
 
 # The shortest cell, nanoseconds: faster rotation is vibration.
 _LEAST_CELL_NS = 5_000_000
-
-# An offset is a candidate if this share of the cells of the shorter trajectory overlap.
-_LEAST_OVERLAP = 0.3
-
-# Two offsets are distinguished if their mean squares differ by this many standard deviations.
-_TOLD_APART = 5.0
-# The minimum between two cells is uncertain by this share of the rise to the next cells.
-_BOTTOM_SHARE = 0.1
 
 
 class CoarseOffset(NamedTuple):
@@ -74,6 +63,11 @@ class Lags(NamedTuple):
     known: FloatArray
 
 
+def cell_between(a: Trajectory, b: Trajectory, least_ns: float = _LEAST_CELL_NS) -> int:
+    """Return the cell, nanoseconds, that resolves the rotation of both: half a step of either."""
+    return int(max(a.usual_step_ns / 2, b.usual_step_ns / 2, least_ns))
+
+
 def correlate(
     a: Trajectory, b: Trajectory, reach_s: float, least_cell_ns: float = _LEAST_CELL_NS,
 ) -> Lags:
@@ -83,7 +77,7 @@ def correlate(
     """
     times_a, times_b = _without_pauses(a, b, reach_s)
     span = max(int(times_a[-1]), int(times_b[-1]))
-    cell_ns = int(max(a.usual_step_ns / 2, b.usual_step_ns / 2, least_cell_ns, span / _MAX_CELLS))
+    cell_ns = max(cell_between(a, b, least_cell_ns), span >> 18)
     reach_ns = round(reach_s * 1e9)
     return _correlate(
         *_rotation_per_cell(a, times_a, cell_ns, _reached(times_b, reach_ns)),
@@ -118,7 +112,7 @@ def chance_ratio(samples: FloatArray, other: float) -> FloatArray:
     logarithm of a mean square of n of them has the standard deviation ``sqrt(2 / (3 n))``.
     """
     variance = 2 / 3 * (1 / np.maximum(samples - 1, 1.0) + 1 / max(other - 1, 1.0))
-    factor: FloatArray = np.exp(_TOLD_APART * np.sqrt(variance))
+    factor: FloatArray = np.exp(SIGNIFICANT * np.sqrt(variance))
     return factor
 
 
@@ -140,8 +134,9 @@ def _alternatives(
     rise, slope = np.maximum(0.5 * (before + after) - apart[places], 0.0), after - before
     # The minimum between the cells, by a parabola, and its uncertainty.
     least = apart[places] - slope**2 / (16 * np.maximum(rise, np.finfo(float).tiny))
-    limit = max(float(least[0]), 0.0) + _BOTTOM_SHARE * float(rise[0])
-    near = least - _BOTTOM_SHARE * rise <= limit * chance_ratio(samples[places], samples[best])
+    # A minimum between two cells is uncertain by a tenth of the rise to the next cells.
+    limit = max(float(least[0]), 0.0) + 0.1 * float(rise[0])
+    near = least - 0.1 * rise <= limit * chance_ratio(samples[places], samples[best])
     found = places[near & (places != best)]
     return found[np.argsort(np.abs(lags.lags[found]), kind='stable')][:6].tolist()
 
@@ -211,7 +206,8 @@ def _correlate(
     overlap = products(weight_a, weight_b)[:, 0, 0]
     gain = kabsch_gain(covariance)
     energy = np.sqrt(np.maximum(energy_a * energy_b, 0.0))
-    enough = overlap > max(_LEAST_OVERLAP * min(known_a.sum(), known_b.sum()), 1.0)
+    # A candidate has at least 30 % of the cells of the shorter trajectory in common.
+    enough = overlap > max(0.3 * min(known_a.sum(), known_b.sum()), 1.0)
     usable = enough & (energy > 1e-9 * max(float(energy.max()), np.finfo(float).tiny))
     correlation = np.where(usable, gain / np.where(usable, energy, 1.0), 0.0)
     known = np.maximum(overlap, 1.0)

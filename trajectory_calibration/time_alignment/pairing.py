@@ -16,29 +16,15 @@ from trajectory_calibration.data.pose_pairs import (
     MIN_PAIRS,
     PosePairs,
 )
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import ROUNDING_TOLERANCE, Trajectory
 from trajectory_calibration.errors import AssociationError, ConfigError, counted
 from trajectory_calibration.geometry.interpolation import interpolate, left_of
 
 # Stamps closer than this are one instant: rounding to microseconds.
 COINCIDENCE_NS = 1_000_000
 
-# 'auto' uses only poses of b this near to a pose of a, or in a gap this short (1.5 steps at
-# 10 Hz), if they are at least this share of all. Over longer gaps the velocity changes, and the
-# interpolation error outweighs the additional poses.
-_NEAR_NS = 10_000_000
-_SHORT_GAP_NS = 150_000_000
-_NEAR_SHARE = 0.5
-
 # Share of unpaired poses from which on there is a finding.
 UNPAIRED_SHARE = 0.1
-
-# Two sensors never have poses as equal as this (metres and cosines); files round to microns.
-_SAME = 1e-5
-
-# 'auto' interpolates b if the steps of a are this many times longer than those of b: chords
-# between sparse poses are shorter than the path, which would appear as an error of scale.
-_SPARSER = 1.5
 
 
 def associate(
@@ -77,7 +63,8 @@ def is_sparser(stamps_a: NDArray[np.int64], stamps_b: NDArray[np.int64]) -> bool
     if min(len(stamps_a), len(stamps_b)) < 2:
         return False
     step_a, step_b = (np.median(np.diff(stamps)) for stamps in (stamps_a, stamps_b))
-    return bool(step_a > _SPARSER * step_b)
+    # Chords between sparse poses are shorter than the path, which would pass for a scale error.
+    return bool(step_a > 1.5 * step_b)
 
 
 def _swapped(pairs: PosePairs, time_offset_ns: int) -> PosePairs:
@@ -132,9 +119,11 @@ def associate_by_interpolation(
     bridged |= to_nearest <= COINCIDENCE_NS
     inside = _inside(a, stamps_b)
     usable = inside & bridged
-    near = usable & ((to_nearest <= _NEAR_NS) | (gap <= _SHORT_GAP_NS))
+    # Over more than 1.5 steps at 10 Hz the velocity changes, and the interpolation error outweighs
+    # the additional poses.
+    near = usable & ((to_nearest <= 10_000_000) | (gap <= 150_000_000))
     between = 0
-    if prefer_near and near.sum() >= _NEAR_SHARE * usable.sum():
+    if prefer_near and near.sum() >= 0.5 * usable.sum():
         between = int(np.count_nonzero(usable & ~near))
         usable = near
     j = np.flatnonzero(usable)
@@ -237,7 +226,7 @@ def association_findings(
                 code, f'{share:.0%} of the poses of {one.sensor_frame} {where}: unused',
                 {'share': share}))
     # The same poses in another format or at another rate differ by rounding.
-    if np.median(np.abs(pairs.poses_a - pairs.poses_b).max(axis=(1, 2))) < _SAME:
+    if np.median(np.abs(pairs.poses_a - pairs.poses_b).max(axis=(1, 2))) < ROUNDING_TOLERANCE:
         found.append(Finding(
             'poses-identical', f'{a.sensor_frame} and {b.sensor_frame} report identical poses: '
             'the answer is the pose of a sensor in itself. Check that two sensors were given'))

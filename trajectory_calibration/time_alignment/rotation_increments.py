@@ -15,29 +15,11 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Length of the windows, in cells and in nanoseconds, and how many of them are enough.
-_WINDOW_CELLS = 2
-_WINDOW_NS = 300_000_000
-_WINDOWS = 5_000
-
-# Golden ratio: fractional parts of its multiples fill an interval evenly and without a period.
-_GOLDEN = (np.sqrt(5.0) - 1) / 2
-
-# Distance of a window from the ends of trajectory a, in cells.
-_REACH_CELLS = 3
-
-# Larger rotations (radians) are excluded: the axis of a rotation by 180 deg has no sign.
-_MAX_ANGLE = 2.5
-
-# A difference of two sums of squares below this share of them is rounding.
-ROUNDING = 1e-12
-
 # The motion between two poses of a is interpolated: uncertainty as a share of the median step.
 STEP_SHARE = 0.005
 
-# A value is significant beyond this many standard deviations, if it amounts to this many seconds.
-_SIGNIFICANT = 5.0
-_NEGLIGIBLE_S = 1e-3
+# What differs by more than this many standard deviations is no chance.
+SIGNIFICANT = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,17 +53,17 @@ class RotationIncrements:
 
         ``offset_ns`` is added to the stamps of b; ``cell_ns`` is the cell of the coarse search.
         """
-        step = b.poses_in(max(_WINDOW_CELLS * cell_ns, _WINDOW_NS))
+        step = b.poses_in(max(2 * cell_ns, 300_000_000))
         if len(b) <= step:
             return None
         i, stride = _spread_evenly(len(b) - step)
         j = i + step
         times = b.stamps_ns + offset_ns
-        reach = _REACH_CELLS * cell_ns
+        reach = 3 * cell_ns
         usable = (_covered(a, times[i], reach) & _covered(a, times[j], reach)
                   & (times[j] - times[i] <= 2 * step * b.usual_step_ns))
         rotations_b = se3.log_so3(np.swapaxes(b.rotations[i], 1, 2) @ b.rotations[j])
-        usable &= np.linalg.norm(rotations_b, axis=1) < _MAX_ANGLE
+        usable &= np.linalg.norm(rotations_b, axis=1) < se3.LARGEST_TURN
         if usable.sum() < 3 * step:
             return None
         first, last = max(a.stamps_ns[0], times[0]), min(a.stamps_ns[-1], times[-1])
@@ -172,14 +154,16 @@ def _rotations_between(start: FloatArray, end: FloatArray) -> FloatArray:
 
 
 def _spread_evenly(count: int) -> tuple[NDArray[np.intp], int]:
-    """Return the indices of at most ``_WINDOWS`` of ``count`` windows, and the mean stride.
+    """Return the indices of some 5,000 of ``count`` windows, and the mean stride.
 
     The strides vary: equal ones can be in phase with a periodic motion (a turn every two seconds),
     which biased the clock offset by 10 ms.
     """
-    stride = max(1, count // _WINDOWS)
+    stride = max(1, count // 5_000)
     first = np.arange(0, count - stride + 1, stride)
-    return first + (stride * (_GOLDEN * np.arange(len(first)) % 1.0)).astype(np.intp), stride
+    # Fractional parts of multiples of the golden ratio fill an interval without a period.
+    golden = (np.sqrt(5.0) - 1) / 2
+    return first + (stride * (golden * np.arange(len(first)) % 1.0)).astype(np.intp), stride
 
 
 def kabsch_gain(covariance: FloatArray) -> FloatArray:
@@ -195,8 +179,8 @@ def kabsch_gain(covariance: FloatArray) -> FloatArray:
 
 
 def is_significant(value: float, std: float, seconds: float = 1.0) -> bool:
-    """Return whether a clock offset, or a drift over ``seconds``, is significant and matters."""
-    return abs(value) > max(_SIGNIFICANT * std, _NEGLIGIBLE_S / seconds)
+    """Return whether an offset, or a drift over ``seconds``, is significant and beyond 1 ms."""
+    return abs(value) > max(SIGNIFICANT * std, 1e-3 / seconds)
 
 
 def _covered(a: Trajectory, times: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
