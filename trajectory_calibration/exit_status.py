@@ -6,8 +6,8 @@ DONE = 0
 # The data cannot give an answer.
 NO_ANSWER = 1
 USAGE = 2
-# Done, but a direction of the answer is unknown; ``verify``: it cannot tell.
-OPEN = 3
+# Done, but a direction of the answer is unobserved; ``verify``: it cannot tell.
+INCOMPLETE = 3
 # ``verify``, ``compare``, ``fleet``: the extrinsic no longer holds.
 CHANGED = 4
 # What a shell reports for a process that SIGINT ended.

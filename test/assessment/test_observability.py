@@ -51,7 +51,7 @@ def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
     for seed in range(seeds):
         found, _ = calibrated(scenario, seed, solver='dnl', reference='B5')
         assert 'z' in found.observability.unobserved
-        # Its rotation may be open for the same reason: one warning names both.
+        # Its rotation may be unobserved for the same reason: one warning names both.
         assert any(warning.startswith('translation along z') for warning in found.warnings)
 
 
@@ -113,7 +113,7 @@ def test_strict_limits_flag_a_good_answer_and_keep_it():
 def test_what_a_straight_line_tells_is_an_answer():
     found = calibrate(*at_rest_or_straight_ahead(1, speed=2.0))
     assert found.observability.unobserved == DEGREES_OF_FREEDOM
-    # Every axis of the sensor has a part of the one rotation that is open.
+    # Every axis of the sensor has a part of the one rotation that is unobserved.
     rotations = [item for item in found.observability.weak_axes if item.kind == 'rotation']
     assert [item.status for item in rotations] == ['unobserved']
     np.testing.assert_allclose(rotations[0].axis, np.ones(3) / np.sqrt(3), atol=0.02)
@@ -149,11 +149,11 @@ def test_noise_is_no_turn_about_another_axis():
 def test_directions_with_one_cause_are_one_finding_of_two_lines():
     found, = calibrate(*at_rest_or_straight_ahead(1, speed=2.0)).observability.findings
     assert found.text.startswith(
-        'translation and part of the rotation of sensor unobservable: noise too large')
+        'translation and part of the rotation of sensor unobserved: noise too large')
     assert [item['kind'] for item in found.values['directions']] == [
         *['translation'] * 3, 'rotation']
     every, = findings_of(*np.eye(6))
-    assert every.text.startswith('translation and rotation of lidar unobservable: ')
+    assert every.text.startswith('translation and rotation of lidar unobserved: ')
     assert len(f'serious: {every.text}') <= 2 * 99
     flat_, weak = findings_of([0, 0, 1, 0, 0, 0], gain=9.0) + findings_of(
         [0, 0, 0, 0, 1, 0], [0, 0, 0, 1, 0, 0], gain=0.03)
@@ -184,7 +184,7 @@ def test_exactly_flat_ground_is_answered_and_flagged(solver):
     assert 'z' in found.observability.unobserved
     assert found.T_a_b[2, 3] == pytest.approx(0.0, abs=1e-6)
     if solver in ('dnl', 'dnlo', 'ali'):
-        # The joint solvers find the heading from the path; only the height is open.
+        # The joint solvers find the heading from the path; only the height is unobserved.
         assert found.observability.unobserved == ('z',)
         np.testing.assert_allclose(found.T_a_b[:2, 3], truth[:2, 3], atol=1e-6)
     else:

@@ -120,7 +120,7 @@ def test_is_the_minimum_of_both_costs():
 
 
 @pytest.mark.parametrize('off', [0.0, 1.0, -2.5, np.pi])
-def test_about_an_axis_that_is_open_it_is_the_minimum_of_both_costs_from_anywhere(off):
+def test_about_an_unobserved_axis_it_is_the_minimum_of_both_costs_from_anywhere(off):
     """Of a straight drive, both know its direction: the answer about it is arbitrary."""
     rng = np.random.default_rng(7)
     along = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
@@ -173,7 +173,7 @@ def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver, seeds):
         except ConfigError as refused:
             # Noise may pass for a turn with them, and their translation then hangs on it.
             assert solver in ('park', 'taylor')
-            assert 'open to this solver; use' in str(refused)
+            assert 'unobserved to this solver; use' in str(refused)
             continue
         error = found.absolute_errors(X)
         assert error.e_aR < np.deg2rad(0.3)
@@ -210,12 +210,12 @@ def test_a_fixed_component_is_exact(solver):
 
 @pytest.mark.parametrize('opened', [10.0, 1e3])
 @pytest.mark.parametrize('known', [1e-9, 1e-5, 1e-2])
-def test_a_fixed_component_is_exact_beside_a_direction_that_is_open(opened, known):
+def test_a_fixed_component_is_exact_beside_an_unobserved_direction(opened, known):
     rng = np.random.default_rng(4)
     for _ in range(20):
         axes, _ = np.linalg.qr(rng.normal(size=(6, 6)))
         covariance = (axes * np.array([opened, *[known] * 5])**2) @ axes.T
-        # Anything along the open direction is possible; the prior asks for some of it.
+        # Anything along the unobserved direction is possible; the prior asks for some of it.
         step = 0.05 * axes[:, 0]
         prior = parse_prior(text(step[:3]), '0', '', '')
         T_a_b, after = apply_prior(np.eye(4), covariance, prior)
@@ -271,8 +271,8 @@ def test_a_prior_far_from_the_motion_is_refused():
                  prior_rotation_std='0.01')
 
 
-def test_a_prior_of_the_height_does_not_turn_a_heading_that_is_open():
-    """On flat ground park leaves the heading open, which has nothing to do with the height."""
+def test_a_prior_of_the_height_does_not_turn_an_unobserved_heading():
+    """On flat ground park does not observe the heading, and the height says nothing of it."""
     found, _ = run_with(NOISY_FLAT, 5, solver='park', prior_translation='-,-,0.8',
                         prior_translation_std='0.02')
     assert found.T_a_b[2, 3] == pytest.approx(0.8, abs=0.05)
@@ -280,10 +280,10 @@ def test_a_prior_of_the_height_does_not_turn_a_heading_that_is_open():
     assert 'rotation z' in found.observability.unobserved
 
 
-def test_a_translation_that_hangs_on_an_open_rotation_is_not_turned_with_it():
-    """On flat ground park leaves the heading open, and finds the translation that fits it."""
+def test_a_translation_that_hangs_on_an_unobserved_rotation_is_not_turned_with_it():
+    """On flat ground park does not observe the heading; its translation fits that one."""
     truth = simulate(NOISY_FLAT, 5).T_a_b
-    with pytest.raises(ConfigError, match='the motion leaves open to this solver; use drift_aw'):
+    with pytest.raises(ConfigError, match='unobserved to this solver; use drift_aw'):
         run_with(NOISY_FLAT, 5, solver='park', prior_rotation=text(rpy(truth)),
                  prior_rotation_std='1')
 

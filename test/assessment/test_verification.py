@@ -73,7 +73,7 @@ def test_a_vehicle_that_stood_cannot_tell(saved):
     assert found.exit_status == 3
 
 
-def test_turns_about_one_axis_leave_that_axis_open(saved):
+def test_turns_about_one_axis_leave_that_axis_unobserved(saved):
     T_a_b, result = saved
     planar = {'rotation': (0.0, 0.0, 0.1), 'translation': (0.2, 0.0, 0.0)}
     found = verify(result, *noisy_pair(4, T_a_b, **planar))
@@ -128,10 +128,10 @@ def test_the_difference_of_equal_answers_has_the_stated_false_alarms():
     assert 15 <= alarms <= 65
 
 
-def test_what_is_open_does_not_hide_what_is_known():
+def test_what_is_unobserved_does_not_hide_what_is_known():
     rng = np.random.default_rng(1)
     T = random_pose(rng)
-    # Rotation about z open in one of them, and off by 2 radians there.
+    # Rotation about z unobserved in one of them, and off by 2 radians there.
     P = np.diag([1e-4] * 3 + [1e-6] * 3)
     open_ = P + np.diag([0, 0, 0, 0, 0, 10.0])
     turned = se3.moved(T, [0, 0, 0, 0, 0, 2.0])

@@ -266,7 +266,7 @@ def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
                        '--allow-unobserved', '--output', tmp_path)
     assert status == 3
     lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
-    assert lines[1] == '# not observed: z'
+    assert lines[1] == '# unobserved: z'
     np.testing.assert_allclose(
         read_extrinsic(tmp_path / 'T_a_b.txt').T_a_b,
         CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)
@@ -439,7 +439,7 @@ def test_motion_about_one_axis_is_status_3(tmp_path, capsys):
     assert (status, err) == (3, '')
     assert next(line.split() for line in out.splitlines() if line.startswith('  z ')) == [
         'z', 'unknown', 'unknown']
-    assert 'z of sensor_a unobservable' in out or 'along z of sensor_a' in out
+    assert 'z of sensor_a unobserved' in out or 'along z of sensor_a' in out
     assert '--prior-translation=' in out
 
 

@@ -135,7 +135,7 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
     status, _, err = run(capsys, 'calibrate', a, b, '--output', folder, '--solver', 'ali')
     assert status == 3
     assert [path.name for path in folder.iterdir()] == ['result.yaml']
-    assert err == (f'no exports: z unknown. To write one all the same: export '
+    assert err == (f'no exports: z unobserved. To write one all the same: export '
                    f'{folder}/result.yaml --as FORMAT --allow-unobserved\n')
     assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
         'z'] == 'unobserved'
@@ -143,7 +143,7 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
         export = 'export', folder / 'result.yaml', '--as', name, '--output', tmp_path / 'x'
         status, out, err = run(capsys, *export, '--force')
         assert (status, out) == (1, '')
-        assert err.startswith('error: not exported: z of sensor_b in sensor_a unobservable. ')
+        assert err.startswith('error: not exported: z of sensor_b in sensor_a unobserved. ')
         assert not (tmp_path / 'x').exists()
     status, out, err = run(
         capsys, 'export', folder / 'result.yaml', '--as', 'urdf', '--allow-unobserved')

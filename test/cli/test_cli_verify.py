@@ -50,7 +50,7 @@ def test_it_holds_it_moved_and_nobody_can_tell(saved, tmp_path, capsys):
     assert status == 3
     assert out.startswith('cannot tell z (needs: ')
     # The verdict names the direction; a prior, which is left out here, is no advice.
-    assert 'unobservable' not in out
+    assert 'unobserved' not in out
 
 
 def test_json_has_the_verdict_and_the_new_result(saved, tmp_path, capsys):

@@ -63,7 +63,7 @@ def test_millimetres():
     found = calibrate(a, RUN.b)
     assert position_doubts(a)[0] in found.findings
     # The ground is hilly: it is not the turning that is too little.
-    said = [warning for warning in found.warnings if 'unobservable' in warning]
+    said = [warning for warning in found.warnings if 'unobserved' in warning]
     assert said
     assert all('noise too large for the motion' in warning for warning in said)
 

@@ -102,7 +102,7 @@ def test_a_low_rate_is_not_thinned():
           'z of lidar is not determined, needed 0.02 m')),
     (HEIGHT, 'enough motion: call ~/calibrate'),
     ({'allow_unobserved': True},
-     'enough motion: call ~/calibrate; translation along z of lidar stays open'),
+     'enough motion: call ~/calibrate; translation along z of lidar stays unobserved'),
 ])
 def test_on_flat_ground_it_says_what_is_missing_and_what_helps(settings, sentence):
     advice = advised(drive(240, axes=(2,)), **settings)

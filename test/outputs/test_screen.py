@@ -59,7 +59,7 @@ def test_what_is_unobserved_is_no_number():
     assert lines[5].split()[-1] == 'weak'
     assert format_transform(result).split()[:3] == ['0.200000000', '-1.250000000', 'unknown']
     verdict = judge(result)
-    assert verdict.level == 'open'
+    assert verdict.level == 'incomplete'
     assert '--prior-translation=-,-,Z --prior-translation-std=0.01' in verdict.next_step
 
 

@@ -263,7 +263,7 @@ def test_heights_of_a_planar_vehicle_are_open_for_every_sensor():
     rig = calibrate_rig(run.trajectories)
     assert rig.unobserved == {'b': ('z',), 'c': ('z',)}
     found = next(item for item in rig.findings if item.code == 'direction-unobserved')
-    assert found.text.startswith('z of b, c unobservable')
+    assert found.text.startswith('z of b, c unobserved')
 
 
 def test_a_prior_anchors_a_height():

@@ -141,7 +141,7 @@ def test_the_page_of_two_groups_is_not_called_usable(rig):
     apart = replace(rig, sensors={
         **rig.sensors, 'rear': replace(rig.sensors['rear'], base='rear')})
     assert apart.unplaced == ('rear',)
-    assert 'badge">Part of it is unknown<' in render_rig(apart)
+    assert 'badge">Incomplete<' in render_rig(apart)
 
 
 def test_a_page_without_tracks_says_so(rig):
@@ -178,7 +178,7 @@ def test_results_are_named_and_not_overwritten(folder, tmp_path, capsys):
     assert f'wrote {tmp_path / "out"}\n' in err
 
 
-def test_a_sensor_of_another_drive_is_open(folder, tmp_path, capsys):
+def test_a_rig_with_a_sensor_of_another_drive_is_incomplete(folder, tmp_path, capsys):
     for name in ('lidar', 'front', 'rear'):
         rows = np.loadtxt(folder / f'{name}.tum')
         rows[:, 0] += 1e5 * (name == 'rear')
@@ -188,7 +188,7 @@ def test_a_sensor_of_another_drive_is_open(folder, tmp_path, capsys):
     assert re.search(r'^  rear +no answer$', capsys.readouterr().out, re.MULTILINE)
 
 
-def test_a_sensor_that_was_not_compared_is_open(folder, rig, capsys):
+def test_a_sensor_that_was_not_compared_is_incomplete(folder, rig, capsys):
     (folder / 'two.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
     replace(rig, recordings=()).save(folder / 'other_drive.yaml')
     assert main(['verify', str(folder / 'other_drive.yaml'), str(folder / 'two.yaml')]) == 3
@@ -276,8 +276,8 @@ def test_a_saved_rig_is_exported_as_a_whole(folder, capsys, tmp_path):
     assert '--parent is for one transform' in capsys.readouterr().err
     data = rig.to_dict()
     data['sensors']['rear']['status']['z'] = 'unobserved'
-    RigResult.from_dict(data).save(tmp_path / 'open.yaml')
-    export = ['export', str(tmp_path / 'open.yaml'), '--as', 'urdf']
+    RigResult.from_dict(data).save(tmp_path / 'unobserved.yaml')
+    export = ['export', str(tmp_path / 'unobserved.yaml'), '--as', 'urdf']
     assert main(export) == 1
     out, err = capsys.readouterr()
     assert (out, err[:48]) == ('', 'error: not exported: z of rear in velodyne unobs')
@@ -317,7 +317,7 @@ def test_open_heights_end_with_status_three(tmp_path, capsys):
                  '--report', str(tmp_path / 'rig.html')]) == 3
     text = capsys.readouterr().out
     assert text.count('unknown') == 3
-    assert 'z of front, rear unobservable' in text
+    assert 'z of front, rear unobserved' in text
     assert '(z unknown)' in (tmp_path / 'rig.html').read_text()
 
 
@@ -338,7 +338,7 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
     command.append('--force')
     assert main(command) == 3
     assert capsys.readouterr().err == (
-        'not exported: z of camera in velodyne; z of rear in velodyne unknown; '
+        'not exported: z of camera in velodyne; z of rear in velodyne unobserved; '
         'rig --allow-unobserved writes them\n')
     assert [path.name for path in out.iterdir()] == ['rig.yaml']
     # Of the two only the camera has a known height.
@@ -346,7 +346,7 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
         'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
         'prior_translation_std: 0.01'))
     assert main(command) == 3
-    assert 'not exported: z of rear in velodyne unknown;' in capsys.readouterr().err
+    assert 'not exported: z of rear in velodyne unobserved;' in capsys.readouterr().err
     assert (out / 'camera' / 'extrinsic.urdf').is_file()
     assert not (out / 'rear').exists()
     assert 'camera' in (out / 'rig.urdf').read_text()
@@ -372,7 +372,7 @@ def test_no_export_of_an_earlier_rig_stays_beside_an_open_one(folder, tmp_path, 
     run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
     for name in ('lidar', 'front'):
         write_tum(tmp_path / f'{name}.tum', run.trajectories[name])
-    # One of the sensors is open, the other one has gone.
+    # One of the sensors is unobserved, the other one has gone.
     (tmp_path / 'RIG.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
     command[1] = str(tmp_path / 'RIG.yaml')
     assert main(command) == 2

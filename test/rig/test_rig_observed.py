@@ -11,7 +11,12 @@ from trajectory_calibration import CalibrationConfig
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance
-from trajectory_calibration.geometry.observed import drawn_near, misfit, open_directions, without
+from trajectory_calibration.geometry.observed import (
+    drawn_near,
+    misfit,
+    unobserved_directions,
+    without,
+)
 from trajectory_calibration.outputs.comparison_table import rig_to_data, rig_to_text
 from trajectory_calibration.rig import calibrate_rig
 from trajectory_calibration.rig.comparison import compare_rigs
@@ -61,7 +66,7 @@ def test_an_open_direction_has_no_say_however_the_axes_are_turned():
         R = turned(rng)
         value, degrees = misfit(R @ (error + 7.0 * height), R @ V @ R.T, LIMITS)
         assert degrees == 5
-        # Seven metres of one open direction leave what ten thousandths of its deviation are.
+        # Seven metres of one unobserved direction leave what ten thousandths of its deviation are.
         assert value == pytest.approx(wanted[0], rel=0.01)
 
 
@@ -70,7 +75,7 @@ def test_a_weight_without_a_direction_is_that_of_the_best_step_along_it():
     W, step = np.linalg.inv(covariance(rng)), 0.01 * rng.standard_normal(6)
     height = 0.5 * np.eye(6)[:, [2]] + 0.01 * np.eye(6)[:, [4]]
     value = step @ without(W, height) @ step
-    # However far the step is moved along what is open, and never more than with it.
+    # However far the step is moved along what is unobserved, and never more than with it.
     moved = step + 7.0 * height[:, 0]
     assert moved @ without(W, height) @ moved == pytest.approx(value, rel=1e-6)
     best = -(height[:, 0] @ W @ step) / (height[:, 0] @ W @ height[:, 0])
@@ -85,7 +90,7 @@ def test_chance_of_nothing_is_one():
     assert exceedance(16.748, 5) == pytest.approx(0.005, rel=1e-3)
 
 
-def test_an_answer_comes_near_along_what_is_open_only():
+def test_an_answer_comes_near_along_unobserved_directions_only():
     rng = np.random.default_rng(2)
     near, P = random_pose(rng), np.diag(np.repeat([1e-4, 1e-6], 3))
     far = se3.moved(near, [0.01, -0.02, 300.0, 0.001, 0.0, 0.0])
@@ -93,7 +98,8 @@ def test_an_answer_comes_near_along_what_is_open_only():
     np.testing.assert_array_equal(same, far)
     np.testing.assert_array_equal(unchanged, P)
     P[2, 2] = 100.0
-    np.testing.assert_allclose(np.abs(open_directions(P, LIMITS)), LIMITS[2] * np.eye(6)[:, [2]])
+    np.testing.assert_allclose(
+        np.abs(unobserved_directions(P, LIMITS)), LIMITS[2] * np.eye(6)[:, [2]])
     drawn, wider = drawn_near(far, P, near, LIMITS)
     np.testing.assert_allclose(
         se3.step_between(near, drawn), [0.01, -0.02, 0, 0.001, 0, 0], atol=1e-9)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One contract for motion that leaves directions open, whoever solves, however exact the data."""
+"""One contract for motion that leaves directions unobserved, whoever solves, however exact."""
 
 from motion_data import perturb, random_pose, sensor_pair, wander
 import numpy as np
@@ -18,7 +18,7 @@ NOISE = (0.0, *(pytest.param(noise, marks=pytest.mark.once)
                 for noise in (1e-12, 1e-7, 1e-6, 1e-5, 1e-4)), 1e-9, 1e-3)
 CAMERA = se3.from_rotation_translation(
     [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [0.3, 0.05, -0.1])
-# They find the rotation from rotations alone, which about a single axis leave it open.
+# They find the rotation from rotations alone, which about a single axis leave it unobserved.
 ROTATION_ALONE = ('park', 'taylor')
 
 
@@ -66,7 +66,7 @@ def test_planar_motion_leaves_the_height_open(solver, noise):
 
 
 @pytest.mark.parametrize('solver', SOLVER_NAMES)
-def test_what_is_open_exactly_is_zero_or_the_prior(solver):
+def test_what_is_unobserved_exactly_is_zero_or_the_prior(solver):
     height = calibrated(planar, 0.0, solver).T_a_b[2, 3]
     # The likelihood has a prior of its own, metres wide.
     assert height == pytest.approx(0.0, abs=5 if solver_info(solver).identifies_noise else 1e-6)

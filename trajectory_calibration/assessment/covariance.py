@@ -10,8 +10,8 @@ that they say of the extrinsic, a mean ``x`` and a covariance ``P``. Another sol
     E (x_n - truth)(x_n - truth)^T = P + (x_n - x)(x_n - x)^T,
 
 which counts what the noise happened to be in these data, and what the equations of that solver do
-not know of: jumps, a scale, a steady drift. Directions that its equations leave open are open in
-its answer, whatever another solver knows (``excitation``).
+not know of: jumps, a scale, a steady drift. Directions that its equations leave unobserved are so
+in its answer, whatever another solver knows (``excitation``).
 
 J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
 expected loss).
@@ -33,7 +33,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import noise_identifier
-from trajectory_calibration.solvers.solution import Diagnosis, Linearise, Solution, UNKNOWN
+from trajectory_calibration.solvers.solution import Diagnosis, Linearise, Solution, UNOBSERVED_STD
 
 # Poses that are enough to identify noise.
 _ENOUGH = 10_000
@@ -95,8 +95,8 @@ def estimate_uncertainty(
     """
     if solution.covariance is not None:
         # A solver that takes the motion for what it is trusts the noise in it as well.
-        open_ = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
-        return Uncertainty(_bounded(solution.covariance, open_), open_)
+        unobserved = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
+        return Uncertainty(_bounded(solution.covariance, unobserved), unobserved)
     if solution.linearise is None:
         raise SolverError('the solver gave neither a covariance nor the equations it solved')
     config = config or CalibrationConfig()
@@ -105,12 +105,12 @@ def estimate_uncertainty(
         with suppress(MotionError, SolverError):
             known = most_likely(motions.pairs, config)
     excited = split_equations(solution.T_a_b, motions, solution.linearise, solution.inliers)
-    open_ = excited.unobserved
+    unobserved = excited.unobserved
     if known is None:
         covariance = _from_residuals(solution.T_a_b, motions, solution.linearise, excited.basis)
-        return Uncertainty(_bounded(covariance, open_), open_)
-    step = np.clip(se3.step_between(known.T_a_b, solution.T_a_b), -UNKNOWN, UNKNOWN)
-    return Uncertainty(_bounded(known.covariance + np.outer(step, step), open_), open_,
+        return Uncertainty(_bounded(covariance, unobserved), unobserved)
+    step = np.clip(se3.step_between(known.T_a_b, solution.T_a_b), -UNOBSERVED_STD, UNOBSERVED_STD)
+    return Uncertainty(_bounded(known.covariance + np.outer(step, step), unobserved), unobserved,
                        _uncorrected(known, config.solver))
 
 
@@ -145,14 +145,14 @@ def _from_residuals(
     return 0.5 * (covariance + covariance.T)
 
 
-def _bounded(covariance: FloatArray, open_: FloatArray) -> FloatArray:
-    """Return a (6, 6) covariance with (K, 6) open directions, bounded by the unknown.
+def _bounded(covariance: FloatArray, unobserved: FloatArray) -> FloatArray:
+    """Return a (6, 6) covariance with (K, 6) unobserved directions, bounded by their deviations.
 
-    Rounding may leave a negative variance; one beyond the unknown adds up from all that call a
-    direction open.
+    Rounding may leave a negative variance; one beyond ``UNOBSERVED_STD`` adds up from all
+    that call a direction unobserved.
     """
-    unit = np.outer(UNKNOWN, UNKNOWN)
-    total = covariance + open_.T @ open_
+    unit = np.outer(UNOBSERVED_STD, UNOBSERVED_STD)
+    total = covariance + unobserved.T @ unobserved
     variances, axes = np.linalg.eigh(0.5 * (total + total.T) / unit)
     bounded: FloatArray = (axes * np.clip(variances, 0.0, 1.0)) @ axes.T * unit
     return 0.5 * (bounded + bounded.T)

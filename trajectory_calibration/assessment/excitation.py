@@ -28,7 +28,7 @@ from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
-from trajectory_calibration.solvers.solution import Linearise, UNKNOWN
+from trajectory_calibration.solvers.solution import Linearise, UNOBSERVED_STD
 
 # Blocks of correlated motions: this many lags of the reference, at most a fifth of the data.
 _BLOCK_LAGS = 3
@@ -58,7 +58,7 @@ class Excited:
     """The space of (dt, dtheta), split by what the motion says.
 
     ``basis`` (6, 6 - K) has columns that span the excited directions, ``unobserved`` (K, 6) are
-    the others, as long as the unknown may be; see ``UNKNOWN``.
+    the others, each as long as ``UNOBSERVED_STD``.
     """
 
     basis: FloatArray
@@ -95,15 +95,15 @@ def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -
         noise = _excitation_by_noise(apart @ basis[:, suspects], block)
         excited[suspects] = share[suspects] > _SIGNIFICANT * noise
     directions = np.concatenate([basis[:, ~excited], unseen], axis=1).T
-    return Excited(basis[:, excited], scaled_to_unknown(directions))
+    return Excited(basis[:, excited], scaled_to_unobserved(directions))
 
 
-def scaled_to_unknown(directions: FloatArray) -> FloatArray:
-    """Return (K, 6) directions as long as the unknown may be; see ``UNKNOWN``."""
-    # What they span is open, not each by itself: lengthened one by one until its translation is
-    # unknown, a rotation that comes along with it would pass for known.
-    _, _, basis = np.linalg.svd(directions / UNKNOWN, full_matrices=False)
-    scaled: FloatArray = basis * UNKNOWN
+def scaled_to_unobserved(directions: FloatArray) -> FloatArray:
+    """Return (K, 6) directions, each as long as ``UNOBSERVED_STD``."""
+    # What they span is unobserved, not each by itself: lengthened one by one until its translation
+    # is, a rotation that comes along with it would pass for known.
+    _, _, basis = np.linalg.svd(directions / UNOBSERVED_STD, full_matrices=False)
+    scaled: FloatArray = basis * UNOBSERVED_STD
     return scaled
 
 
@@ -145,10 +145,10 @@ def split_equations(
     own = 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
     cross = 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
     excited = _split(0.5 * (shared + shared.T), own, Z_a - Z_b, block_length(motions))
-    # What is found after a direction that is open goes wrong with it.
-    basis, open_ = excited.basis, excited.unobserved
+    # What is found after an unobserved direction goes wrong with it.
+    basis, unobserved = excited.basis, excited.unobserved
     inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
-    return Excited(basis, scaled_to_unknown(open_ - open_ @ (inverse @ cross).T))
+    return Excited(basis, scaled_to_unobserved(unobserved - unobserved @ (inverse @ cross).T))
 
 
 def _excitation_by_noise(rows: FloatArray, block: int) -> FloatArray:

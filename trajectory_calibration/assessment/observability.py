@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the motion determined of an extrinsic, and what it did not.
 
-The covariance of the answer says it: a direction that the motion left open is one in which the
-standard deviation is large. The limits are settings, the words are for the driver.
+The covariance of the answer says it: the standard deviation is large in a direction that is
+unobserved. The limits are settings, the words are for the driver.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def _single_axis(motions: MotionPairs) -> tuple[float, ...]:
 
 
 def limits_of(config: CalibrationConfig) -> FloatArray:
-    """Return (6,) standard deviations, metres and radians, from which a direction is open."""
+    """Return (6,) standard deviations, m and rad, from which a direction is unobserved."""
     return np.repeat([max(config.unobserved_translation, 1e-3),
                       max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
 
@@ -262,10 +262,10 @@ def _status(
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         status[name] = judge(config, after[k], rotation=k >= 3)
         # A prior of one component helps others through their correlation: those count as known
-        # beforehand only if the motion alone left them open.
-        open_before = given[k] or judge(config, before[k], rotation=k >= 3) != OBSERVED
+        # beforehand only if the motion alone did not observe them.
+        doubtful = given[k] or judge(config, before[k], rotation=k >= 3) != OBSERVED
         dominated = after[k]**2 < _DOMINATED * before[k]**2
-        if dominated and open_before and status[name] != UNOBSERVED:
+        if dominated and doubtful and status[name] != UNOBSERVED:
             status[name] = PRIOR
     return status
 
@@ -309,7 +309,7 @@ def _describe(observed: Observability, frame: str) -> tuple[Finding, ...]:
             found.append(Finding('direction-weak', f'{where} weak: standard deviation {std} '
                                  f'{_UNITS[group[0].kind]}. {why}', values))
         else:
-            found.append(Finding('direction-unobserved', f'{where} unobservable: {why}, or add '
+            found.append(Finding('direction-unobserved', f'{where} unobserved: {why}, or add '
                                  f'{_priors(group)}, or set allow_unobserved (node)', values))
     return tuple(found)
 

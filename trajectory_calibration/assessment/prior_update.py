@@ -14,16 +14,16 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import DEFAULT_SOLVER
 
 # The correction of an answer by a prior is linear in the rotation up to about this, degrees. An
-# axis that the motion knows worse than that is open: the answer about it is as good as any.
+# axis that the motion knows worse than that is unobserved: the answer about it is as good as any.
 _LARGEST_TURN_DEG = 15.0
 
-# A turn of which more than this share is about open axes has nothing to do with what is known.
+# A turn of which more than this share is about such axes has nothing to do with what is known.
 _MOSTLY = 0.7
 
 # Metres by which a translation may go along with a turn whatever is known of it.
 _NO_SHIFT = 1e-6
 
-# Turns about a single open axis that are tried, and steps that refine the best of them.
+# Turns about a single such axis that are tried, and steps that refine the best of them.
 _TURNS = 72
 _MAX_REFINEMENTS = 50
 
@@ -37,9 +37,9 @@ def apply_prior(
     """Add the prior as one more residual to an answer with its (6, 6) covariance.
 
     The most likely extrinsic under both is a least-squares problem in six unknowns, iterated in
-    the rotation (iterated Kalman update), linear in everything else. About axes that the motion
-    left open it begins at the prior, however far that is. Raises ConfigError where the prior turns
-    what the motion knows too far for the covariance to hold there.
+    the rotation (iterated Kalman update), linear in everything else. About unobserved axes it
+    begins at the prior, however far that is. Raises ConfigError where the prior turns what the
+    motion knows too far for the covariance to hold there.
     """
     if not prior.given:
         return T_a_b, covariance
@@ -55,8 +55,8 @@ def apply_prior(
         observe = np.eye(6)
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
         observe = observe[known]
-        # In units of what is unknown, the prior before the motion: a component that is fixed
-        # beside a direction that is open has 1e13 times its weight.
+        # In units of what is unobserved, the prior before the motion: a component that is fixed
+        # beside an unobserved direction has 1e13 times its weight.
         Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
         # The motion had its answer where the start began.
         expected = (deviation[known] + observe @ (step + start)) / std
@@ -75,13 +75,13 @@ def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) 
     angle = float(np.rad2deg(np.linalg.norm(turn)))
     if angle <= _LARGEST_TURN_DEG:
         return
-    axes, _ = _open_axes(covariance)
+    axes, _ = _unobserved_axes(covariance)
     what, check = 'prior', (
         'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
         'shows the rotation, about two axes')
     if np.linalg.norm(axes.T @ turn) > _MOSTLY * np.linalg.norm(turn):
         # Its translation holds for its own rotation only, and that is arbitrary.
-        check = ('mostly about an axis that the motion leaves open to this solver; use '
+        check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
                  f'{DEFAULT_SOLVER} or a joint solver (dnl), or drive so that the motion shows '
                  'the rotation, about two axes')
         if not np.isfinite(prior.rotation_std).any():
@@ -92,20 +92,20 @@ def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) 
         f'{_LARGEST_TURN_DEG:.0f}; {check}')
 
 
-def _open_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _unobserved_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (3, K) axes about which the motion does not know the rotation, and variances."""
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
-    open_ = variances > np.deg2rad(_LARGEST_TURN_DEG)**2
-    return axes[:, open_], variances[open_]
+    unobserved = variances > np.deg2rad(_LARGEST_TURN_DEG)**2
+    return axes[:, unobserved], variances[unobserved]
 
 
 def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
-    """Return the (6,) step about the open axes of an answer that takes it nearest to the prior.
+    """Return the (6,) step about its unobserved axes that takes an answer nearest to the prior.
 
     The answer about such an axis is arbitrary, by any angle, and a linear step does not reach the
     prior. Zero where the translation that is known goes along with the rotation.
     """
-    axes, variances = _open_axes(covariance)
+    axes, variances = _unobserved_axes(covariance)
     if not (len(variances) and np.isfinite(prior.rotation_std).any()):
         return np.zeros(6)
     along = covariance[:, 3:] @ axes / variances

@@ -158,7 +158,7 @@ def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | Non
     T, scale = np.eye(4), 1.0
     for k in range(_ROUNDS):
         if k < _ALONE:
-            # Of turns about one axis the rest of the rotation is open; where both went closes it.
+            # Turns about one axis say nothing of the rotation about it; where both went does.
             T[:3, :3] = se3.nearest_rotation(
                 _correlation(moved.turn_a, moved.turn_b, weight_t)
                 + _correlation(moved.way_a + moved.lever @ T[:3, 3], moved.way_b, weight_v))

@@ -41,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'calibrate', help='find the extrinsic of two trajectories',
         usage='%(prog)s [options] A B',
         description='Find the pose of sensor b in sensor a from two trajectories.',
-        epilog='Exit status: 0 done; 3 done, but a direction is unknown; 1 no answer; 2 wrong '
+        epilog='Exit status: 0 done; 3 done, but a direction is unobserved; 1 no answer; 2 wrong '
         'usage.')
     add_input_arguments(parser)
     add_truth_argument(parser)
@@ -95,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
         written += write_pages(result, a, b, truth, arguments, arguments.report)
     if arguments.format == 'text' and not arguments.quiet and written:
         print('', *(f'wrote {path}' for path in written), sep='\n')
-    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
+    return exit_status.INCOMPLETE if result.observability.unobserved else exit_status.DONE
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
@@ -124,7 +124,7 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         row = (*result.T_a_b[:3, 3], *rotation_to_quaternion(result.T_a_b[:3, :3]))
         text = f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
         if result.observability.unobserved:
-            text += f'# not observed: {", ".join(result.observability.unobserved)}\n'
+            text += f'# unobserved: {", ".join(result.observability.unobserved)}\n'
         text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
         contents[TRANSFORM_FILE] = text.encode()
         if result.frame_a != result.frame_b:
@@ -137,8 +137,8 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
     if item.kept_back:
-        print(f'no exports: {", ".join(result.observability.unobserved)} unknown. To write one '
-              f'all the same: export {folder / RESULT_FILE} --as FORMAT --allow-unobserved',
+        print(f'no exports: {", ".join(result.observability.unobserved)} unobserved. To write '
+              f'one all the same: export {folder / RESULT_FILE} --as FORMAT --allow-unobserved',
               file=sys.stderr)
     if removed:
         print(f'removed from {folder}, as of an earlier answer: '

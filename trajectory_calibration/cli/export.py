@@ -35,8 +35,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
         epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
         'URDF),\nx,y,z,qx,qy,qz,qw, or a file.\n\nA rig is written as a whole, as '
-        f'{", ".join(RIG_FILES)}.\n\nExit status: 0 done; 3 written, but a direction is unknown '
-        '(--allow-unobserved);\n1 not written.')
+        f'{", ".join(RIG_FILES)}.\n\nExit status: 0 done; 3 written with an unobserved '
+        'direction\n(--allow-unobserved); 1 not written.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
     parser.add_argument(
         '--as', dest='format', required=True, choices=tuple(EXPORTS), metavar='FORMAT',
@@ -60,7 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--output', type=Path, metavar='FILE', help='file to write (default: standard output)')
     parser.add_argument('--force', action='store_true', help='overwrite the file')
     parser.add_argument(
-        '--allow-unobserved', action='store_true', help='write a direction that is unknown all '
+        '--allow-unobserved', action='store_true', help='write an unobserved direction all '
         'the same, as an arbitrary number with a comment')
 
 
@@ -71,14 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
     exporter = EXPORTS[arguments.format]
     item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
     if item.kept_back and not arguments.allow_unobserved:
-        print(f'error: not exported: {item.kept_back} unobservable. Calibrate with a ramp or a '
+        print(f'error: not exported: {item.kept_back} unobserved. Calibrate with a ramp or a '
               'prior; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.NO_ANSWER
     _write(exporter.encode(item) if arguments.output else exporter.write(item), arguments)
     if item.unobserved:
         print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
               'along it', file=sys.stderr)
-        return exit_status.OPEN
+        return exit_status.INCOMPLETE
     return exit_status.DONE
 
 
@@ -104,18 +104,18 @@ def _run_rig(arguments: argparse.Namespace) -> int:
             option = 'parent-urdf' if name == 'urdf' else name.replace('_', '-')
             raise ConfigError(f'--{option} is for one transform, and {arguments.result} is a rig; '
                               'rig --base chooses the frame of all')
-    open_ = [item for item in placements(rig) if item.unobserved]
-    kept_back = '; '.join(item.kept_back for item in open_ if item.kept_back)
+    incomplete = [item for item in placements(rig) if item.unobserved]
+    kept_back = '; '.join(item.kept_back for item in incomplete if item.kept_back)
     if kept_back and not arguments.allow_unobserved:
-        print(f'error: not exported: {kept_back} unobservable. Give these sensors a prior in '
+        print(f'error: not exported: {kept_back} unobserved. Give these sensors a prior in '
               'RIG.yaml; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.NO_ANSWER
     _write(encode_rig(rig, arguments.format, allow_unobserved=True).decode(), arguments)
-    if open_:
-        unobserved = ', '.join(name for item in open_ for name in item.unobserved)
+    if incomplete:
+        unobserved = ', '.join(name for item in incomplete for name in item.unobserved)
         print(f'warning: unobserved: {unobserved}; the numbers are arbitrary along it',
               file=sys.stderr)
-    return exit_status.OPEN if open_ or rig.unplaced else exit_status.DONE
+    return exit_status.INCOMPLETE if incomplete or rig.unplaced else exit_status.DONE
 
 
 def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:

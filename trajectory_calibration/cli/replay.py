@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = session.job(
         to_config(values), (values['frame_a'], values['frame_b'])).run().result
     print_as(arguments.format, result.to_dict(), describe(result) + '\n')
-    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
+    return exit_status.INCOMPLETE if result.observability.unobserved else exit_status.DONE
 
 
 def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[str, Any]:

@@ -65,4 +65,4 @@ def run(arguments: argparse.Namespace) -> int:
     truth = read_truth(arguments.ground_truth, result.frame_a, result.frame_b)
     for path in write_pages(result, a, b, truth, arguments, page):
         print(f'wrote {path}')
-    return exit_status.OPEN if result.observability.unobserved else exit_status.DONE
+    return exit_status.INCOMPLETE if result.observability.unobserved else exit_status.DONE

@@ -62,7 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] RIG.yaml',
         description='Find the poses of all sensors of a vehicle in its base, consistent round '
         'every loop, and name the sensor that does not fit.',
-        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unknown; '
+        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unobserved; '
         '1 no answer; 2 wrong usage.')
     parser.add_argument(
         'rig', metavar='RIG.yaml', type=Path, nargs='?',
@@ -80,7 +80,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help='leave sensors that contradict the others out of the answer')
     parser.add_argument(
         '--allow-unobserved', action='store_true',
-        help='export sensors with an unknown direction, too, as arbitrary numbers with a comment')
+        help='export unobserved directions, too, as arbitrary numbers with a comment')
     group = parser.add_argument_group('output')
     group.add_argument(
         '--ground-truth', type=Path, metavar='FILE', help='a saved rig with known poses')
@@ -136,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _status_of(rig: RigResult) -> int:
-    return exit_status.OPEN if rig.unobserved or rig.unplaced else exit_status.DONE
+    return exit_status.INCOMPLETE if rig.unobserved or rig.unplaced else exit_status.DONE
 
 
 def write_rig_page(
@@ -169,8 +169,8 @@ def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
     rig.save(folder / RIG_FILE)
     write_files(folder, contents)
     if kept_back := [item.kept_back for item in placements(rig) if item.kept_back]:
-        print(f'not exported: {"; ".join(kept_back)} unknown; rig --allow-unobserved writes them',
-              file=sys.stderr)
+        print(f'not exported: {"; ".join(kept_back)} unobserved; rig --allow-unobserved writes '
+              'them', file=sys.stderr)
     if removed:
         print(f'removed from {folder}, as of an earlier answer: '
               f'{", ".join(str(path.relative_to(folder)) for path in removed)}', file=sys.stderr)
@@ -298,4 +298,4 @@ def _status(found: Sequence[RigComparison]) -> int:
     """Return 4 where a sensor moved, 3 where one could not be compared."""
     if not all(item.holds for item in found):
         return exit_status.CHANGED
-    return exit_status.DONE if all(item.whole for item in found) else exit_status.OPEN
+    return exit_status.DONE if all(item.whole for item in found) else exit_status.INCOMPLETE

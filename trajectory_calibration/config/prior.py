@@ -3,8 +3,8 @@
 """What is known of the extrinsic beforehand: a tape measure, a drawing, a mounting plate.
 
 A prior is written as text, so that a ROS parameter and a command line can hold it:
-``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``; a ``-`` leaves a
-component open, one number stands for all three, and a standard deviation of 0 fixes a component.
+``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``; ``-`` stands for
+an unknown component, one number for all three, and a standard deviation of 0 fixes a component.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ FIXED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """A normal distribution of the extrinsic; components that are open have infinite width.
+    """A normal distribution of the extrinsic; unknown components have infinite width.
 
     Attributes
     ----------
-    translation : (3,), metres, of b in a; zero where open.
+    translation : (3,), metres, of b in a; zero where unknown.
     translation_std : (3,), metres.
     rotation : (3, 3), of b in a.
     rotation_std : (3,), radians, about the fixed axes x, y, z of a.
@@ -75,13 +75,13 @@ def parse_prior(
     if np.isfinite(angle_std).any() and np.isnan(angles).any():
         raise ConfigError(
             f'prior_rotation is {rotation_rpy_deg!r}, needed roll, pitch and yaw: they mean '
-            'nothing one without the other; open an axis in prior_rotation_std')
+            'nothing one without the other; write - for an axis in prior_rotation_std')
     R = se3.rotation_from_roll_pitch_yaw(np.deg2rad(np.nan_to_num(angles)))
     return Prior(np.nan_to_num(t), t_std, R, np.deg2rad(angle_std))
 
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
-    """Return (3,) values, NaN where open, and (3,) widths, infinite where open."""
+    """Return (3,) values, NaN where unknown, and (3,) widths, infinite there."""
     if values.strip() and not std.strip():
         raise ConfigError(
             f'{name}_std is empty, but {name} is {values!r}, needed both; give {name}_std too (of '
@@ -99,7 +99,7 @@ def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray
 
 
 def _three(name: str, text: str) -> FloatArray:
-    """Return (3,) numbers of a text, NaN where open; all are in an empty one."""
+    """Return (3,) numbers of a text, NaN where unknown; all are in an empty one."""
     parts = [part.strip() for part in (text if text.strip() else '-,-,-').split(',')]
     if len(parts) == 1 and name.endswith('_std'):
         parts *= 3
@@ -109,6 +109,6 @@ def _three(name: str, text: str) -> FloatArray:
         finite = False
     if len(parts) != 3 or not finite:
         raise ConfigError(
-            f'{name} is {text!r}, needed three numbers with commas, "-" for an open one, such as '
-            '0.3,-,0.1')
+            f'{name} is {text!r}, needed three numbers with commas, "-" for an unknown one, '
+            'such as 0.3,-,0.1')
     return np.array([math.nan if part == '-' else float(part) for part in parts])

@@ -144,7 +144,7 @@ class CalibrationConfig:
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
         'three with - for unknown; 0 fixes a component')
     allow_unobserved: bool = _option(
-        default=False, text='publish and export results with unobservable directions, too; these '
+        default=False, text='publish and export results with unobserved directions, too; these '
         'stay marked')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is weak, '

@@ -176,7 +176,7 @@ def row(entry: Entry) -> dict[str, Any]:
         cells.update(zip(COLUMNS[2:14], np.concatenate([
             result.T_a_b[:3, 3], np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3])),
             std[:3], np.rad2deg(std[3:])]).tolist(), strict=True))
-        # An arbitrary number is none; every angle has part in an open rotation.
+        # An arbitrary number is none; every angle has part in an unobserved rotation.
         for name in result.observability.unobserved:
             cells.update({f'{name}_m': None} if name in 'xyz' else dict.fromkeys(COLUMNS[5:8]))
         cells.update(

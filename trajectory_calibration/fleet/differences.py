@@ -16,7 +16,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
-from trajectory_calibration.geometry.observed import along, misfit, open_directions
+from trajectory_calibration.geometry.observed import along, misfit, unobserved_directions
 from trajectory_calibration.geometry.se3 import FloatArray
 
 # In the order of a covariance, as sentences need them.
@@ -25,7 +25,7 @@ AXES = ('along x', 'along y', 'along z', 'about x', 'about y', 'about z')
 # A standard deviation below this is a prior that fixes a component: metres, radians.
 _LEAST = 1e-6
 
-# Where a rotation is open, the other axes turn with what it happens to be.
+# Where a rotation is unobserved, the other axes turn with what it happens to be.
 _GAUGE_STEPS = 10
 
 # Where a resolution is stated, 95 % of shifts are to be noticed: the normal quantile of it.
@@ -39,7 +39,7 @@ class Difference:
     Attributes
     ----------
     step : (6,) metres and radians along and about the axes of a, as ``geometry.se3.moved``
-        takes it; directions that are open in either are left out of it.
+        takes it; directions that are unobserved in either are left out of it.
     std : (6,) its standard deviations, metres and radians.
     chi_squared, degrees_of_freedom : of all directions that both know.
     testable : (6,) bool, the axes that both know; along the others nothing is known of a shift.
@@ -96,21 +96,21 @@ def difference(
 ) -> Difference:
     """Compare two answers, a (4, 4) extrinsic and a (6, 6) covariance each, that are independent.
 
-    The limits of ``config`` say what is open (``unobserved_*``) and what is weak (``weak_*``);
+    The limits of ``config`` say what is unobserved and what is weak;
     with ``probability`` equal extrinsics are called different.
     """
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
     # The difference of two answers that are both just known is just known.
-    open_limit = np.sqrt(2.0) * limits_of(config)
+    limits = np.sqrt(2.0) * limits_of(config)
     weak_limit = np.sqrt(2.0) * np.repeat(
         [config.weak_translation, np.deg2rad(config.weak_rotation)], 3)
-    step = aligned_step(T_0, T_1, P, open_limit)
-    chi_squared, dof = misfit(step, P, open_limit)
+    step = aligned_step(T_0, T_1, P, limits)
+    chi_squared, dof = misfit(step, P, limits)
     std = np.sqrt(np.diagonal(P))
     # Half of the false alarms go to all directions together, half to the single axes.
     limit = np.sqrt(quantile(1, 0.5 * probability / 6))
-    testable = std <= open_limit
+    testable = std <= limits
     alone = testable & (np.abs(step) > limit * std)
     differs = bool(alone.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
     order = np.argsort(-np.abs(step) / std)
@@ -123,14 +123,14 @@ def difference(
 def aligned_step(
     T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, limits: FloatArray,
 ) -> FloatArray:
-    """Move T_1 along what its covariance leaves open until it is as near to T_0 as it gets.
+    """Move T_1 along what its covariance leaves unobserved until it is as near to T_0 as it gets.
 
-    Returns the (6,) step to it; a direction is open from the (6,) limits on.
+    Returns the (6,) step to it; a direction is unobserved from the (6,) limits on.
     """
-    free = open_directions(covariance, limits)
+    unobserved = unobserved_directions(covariance, limits)
     step = se3.step_between(T_0, T_1)
     for _ in range(_GAUGE_STEPS):
-        way = along(free, step, limits)
+        way = along(unobserved, step, limits)
         if np.abs(way / limits).max() < 1e-9:
             break
         T_1 = se3.moved(T_1, -way)

@@ -15,7 +15,7 @@ from trajectory_calibration.assessment.observability import (
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import AssociationError, MotionError, ResultError, SolverError
-from trajectory_calibration.exit_status import CHANGED, DONE, OPEN
+from trajectory_calibration.exit_status import CHANGED, DONE, INCOMPLETE
 from trajectory_calibration.fleet.differences import (
     AXES,
     describe_step,
@@ -31,7 +31,7 @@ from trajectory_calibration.result import CalibrationResult
 
 HOLDS, CANNOT_TELL, MOVED = 'holds', 'cannot tell', 'moved'
 
-_EXIT_STATUS = {HOLDS: DONE, CANNOT_TELL: OPEN, MOVED: CHANGED}
+_EXIT_STATUS = {HOLDS: DONE, CANNOT_TELL: INCOMPLETE, MOVED: CHANGED}
 
 # Of an axis: not known before, so that there is nothing to verify.
 NOT_KNOWN = 'not in the result'
@@ -70,7 +70,7 @@ class Verification:
     def exit_status(self) -> int:
         """Return 0 where every direction holds, 4 for moved, 3 where one was not tested."""
         if self.verdict == HOLDS and NOT_KNOWN in self.status.values():
-            return OPEN
+            return INCOMPLETE
         return _EXIT_STATUS[self.verdict]
 
     def describe(self) -> str:
@@ -78,22 +78,22 @@ class Verification:
         found = self.difference
         if self.verdict == MOVED and found is not None:
             return f'moved by {found.describe()}'
-        held, open_, unknown = (
+        held, untold, not_known = (
             [name for name, status in self.status.items() if status == each]
             for each in (HOLDS, CANNOT_TELL, NOT_KNOWN))
         if self.verdict == CANNOT_TELL and found is None:
             return f'cannot tell: {self.needs}'
         if self.verdict == CANNOT_TELL:
             rest = f'; {", ".join(held)} hold' if held else ''
-            return f'cannot tell {", ".join(open_)} (needs: {self.needs}){rest}'
-        words = f'holds in {len(held)} of 6 directions' if unknown else HOLDS
+            return f'cannot tell {", ".join(untold)} (needs: {self.needs}){rest}'
+        words = f'holds in {len(held)} of 6 directions' if not_known else HOLDS
         weak = [] if found is None else [
             axis for axis, name, is_weak in zip(AXES, DEGREES_OF_FREEDOM, found.weak, strict=True)
             if is_weak and name in held]
         if weak:
             words += f', weakly tested {", ".join(weak)}'
-        if unknown:
-            words += f'; not tested: {", ".join(unknown)} (not in the saved result)'
+        if not_known:
+            words += f'; not tested: {", ".join(not_known)} (not in the saved result)'
         return words
 
     def describe_resolution(self) -> str:

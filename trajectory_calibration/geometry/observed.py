@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which directions have a say: what the motion leaves open agrees with anything.
+"""Which directions have a say: what the motion leaves unobserved agrees with anything.
 
-A direction is open where its standard deviation is above the limit beyond which a result calls it
-unobserved. Metres and radians are compared in units of these limits, and directions are those of
-a covariance (its eigenvectors), not axes: the height of a tilted sensor is no axis of it.
+A direction is unobserved where its standard deviation is above the limit of the settings. Metres
+and radians are compared in units of these limits, and directions are those of a covariance (its
+eigenvectors), not axes: the height of a tilted sensor is no axis of it.
 """
 
 from __future__ import annotations
@@ -39,41 +39,41 @@ def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
     return rows
 
 
-def open_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return (6, K) the open directions of a (6, 6) covariance, as long as their limits."""
+def unobserved_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return (6, K) the unobserved directions of a (6, 6) covariance, as long as their limits."""
     values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
     found: FloatArray = limits[:, None] * vectors[:, values >= 1.0]
     return found
 
 
-def along(free: FloatArray, step: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return the part of a (6,) step in the (6, K) ``free`` ones of ``open_directions``."""
-    part: FloatArray = free @ (free.T @ (step / limits**2))
+def along(unobserved: FloatArray, step: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the part of a (6,) step in the (6, K) ``unobserved_directions``."""
+    part: FloatArray = unobserved @ (unobserved.T @ (step / limits**2))
     return part
 
 
-def without(weight: FloatArray, free: FloatArray) -> FloatArray:
-    """Return the (6, 6) weight of a step of which the (6, K) free directions say nothing."""
-    if not free.shape[1]:
+def without(weight: FloatArray, unobserved: FloatArray) -> FloatArray:
+    """Return the (6, 6) weight of a step of which the (6, K) unobserved directions say nothing."""
+    if not unobserved.shape[1]:
         return weight
-    lost = weight @ free
-    left: FloatArray = weight - lost @ np.linalg.pinv(free.T @ lost) @ lost.T
+    lost = weight @ unobserved
+    left: FloatArray = weight - lost @ np.linalg.pinv(unobserved.T @ lost) @ lost.T
     return left
 
 
 def drawn_near(
     T: FloatArray, P: FloatArray, near: FloatArray, limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return an answer (4, 4) that is as close to another as its open directions let it be.
+    """Return an answer (4, 4) that is as close to another as its unobserved directions let it be.
 
-    Where an answer lies along an open direction means nothing, and may be hundreds of metres off.
-    An open direction is as sure as the rotations are: what these leave of the way that the answer
-    is moved is added to its (6, 6) covariance, which is returned beside it.
+    Where an answer lies along them means nothing, and may be hundreds of metres off. They are as
+    sure as the rotations are: what these leave of the way that the answer is moved is added to its
+    (6, 6) covariance, which is returned beside it.
     """
-    free = open_directions(P, limits)
-    if not free.shape[1]:
+    unobserved = unobserved_directions(P, limits)
+    if not unobserved.shape[1]:
         return T, P
-    way = along(free, se3.step_between(near, T), limits)
+    way = along(unobserved, se3.step_between(near, T), limits)
     swung = se3.skew(way[:3])
     wider = P.copy()
     wider[:3, :3] += swung @ P[3:, 3:] @ swung.T

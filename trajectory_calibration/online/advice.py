@@ -32,7 +32,7 @@ class Advice:
 
     result: CalibrationResult | None = None
     failure: str = ''
-    # (3,) unit vector in a: the direction of the translation that the result may leave open.
+    # (3,) unit vector in a: the direction of the translation that may stay unobserved.
     missing: FloatArray | None = None
 
     @property
@@ -55,14 +55,14 @@ class Advice:
         if (ratios <= 1.0).all():
             left_out = ('' if self.missing is None else
                         f'; translation along {axis_name(self.missing)} of {result.frame_a} '
-                        'stays open')
+                        'stays unobserved')
             return f'enough motion: call ~/calibrate{left_out}'
         worst = int(np.argmax(ratios))
         name = DEGREES_OF_FREEDOM[worst]
         direction = f'{"translation along" if worst < 3 else "rotation about"} {name[-1]}'
         limit, unit = (translation_limit, 'm') if worst < 3 else (rotation_limit_deg, 'deg')
-        unknown = name in result.observability.unobserved or ratios[worst] > _HOPELESS
-        known = ('is not determined' if unknown else
+        unobserved = name in result.observability.unobserved or ratios[worst] > _HOPELESS
+        known = ('is unobserved' if unobserved else
                  f'has a standard deviation of {std[worst]:.2g} {unit}')
         return (f'{_manoeuvre(worst, result)}: {direction} of {result.frame_a} {known}, '
                 f'needed {limit:g} {unit}')
@@ -105,8 +105,8 @@ def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray
     if not config.allow_unobserved or result.covariance is None:
         return None
     variances, axes = np.linalg.eigh(result.covariance[:3, :3])
-    open_ = np.sqrt(max(float(variances[2]), 0.0)) > config.unobserved_translation
-    return axes[:, 2] if open_ else None
+    unobserved = np.sqrt(max(float(variances[2]), 0.0)) > config.unobserved_translation
+    return axes[:, 2] if unobserved else None
 
 
 def _manoeuvre(worst: int, result: CalibrationResult) -> str:

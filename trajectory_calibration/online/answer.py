@@ -18,7 +18,7 @@ _NEXT_LINE = '\n - '
 
 
 def headline(result: CalibrationResult) -> str:
-    """Return the extrinsic in one line; what is not determined reads 'unknown'."""
+    """Return the extrinsic in one line; of what is unobserved 'unknown'."""
     words = transform_words(result, 4, 5)
     return (f'{result.frame_a} -> {result.frame_b}: translation [{", ".join(words[:3])}] m, '
             f'rotation xyzw [{", ".join(words[3:])}]')
@@ -41,7 +41,7 @@ def describe(result: CalibrationResult, *notes: str) -> str:
     if result.covariance is not None:
         lines.append(f'standard deviations: {deviations(result)}')
     if result.observability.unobserved:
-        lines.append(f'unobservable: {", ".join(result.observability.unobserved)}')
+        lines.append(f'unobserved: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
         lines.append(f'scale: {result.scale:.5f}, multiplies the positions of {result.frame_b}')
     if result.time_offset_s or result.clock_drift:

@@ -73,10 +73,10 @@ class Calibration(NamedTuple):
         It keeps back an answer with a direction that neither the motion nor a prior determined,
         unless ``allow_unobserved``. The text ends with what was refused of the tracks.
         """
-        unknown = Placement.of(self.result).kept_back
+        kept_back = Placement.of(self.result).kept_back
         notes = [found.text for found in self.result.findings if found.code == 'input-repaired']
-        return unknown and '; '.join([
-            f'not published: {unknown} unobservable. {_way_out(self.result)}', *notes])
+        return kept_back and '; '.join([
+            f'not published: {kept_back} unobserved. {_way_out(self.result)}', *notes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class CalibrationState:
 
 
 def _way_out(result: CalibrationResult) -> str:
-    """Return why directions are open and what the findings advise, in words of the node."""
+    """Return why directions are unobserved and what the findings advise, in words of the node."""
     why = in_node_words('; '.join(
         found.text.partition(': ')[2] for found in result.observability.findings
         if found.code == 'direction-unobserved'))

@@ -35,8 +35,9 @@ TO_DEGREES = np.repeat([1.0, 180 / np.pi], 3)
 
 NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
 
-GOOD, CARE, OPEN, FAILED = 'good', 'care', 'open', 'failed'
-TITLES = {GOOD: 'Usable', CARE: 'Usable with care', OPEN: 'Incomplete', FAILED: 'No answer'}
+GOOD, CARE, INCOMPLETE, FAILED = 'good', 'care', 'incomplete', 'failed'
+TITLES = {
+    GOOD: 'Usable', CARE: 'Usable with care', INCOMPLETE: 'Incomplete', FAILED: 'No answer'}
 
 # Level of findings that may make an answer wrong.
 SERIOUS = 'serious'
@@ -161,13 +162,13 @@ def pose_rows(
 
 
 def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
-    """Return how far a (4, 4) pose is from the truth, without what is unknown of it."""
-    unknown = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
-    step = np.where(unknown, 0.0, TO_DEGREES * se3.step_between(T_true, T))
+    """Return how far a (4, 4) pose is from the truth, without what is unobserved of it."""
+    unobserved = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
+    step = np.where(unobserved, 0.0, TO_DEGREES * se3.step_between(T_true, T))
     words = ', '.join(
-        'unknown' if unknown[part].all() else f'{np.linalg.norm(step[part]):.{digits}f} {unit}'
+        'unknown' if unobserved[part].all() else f'{np.linalg.norm(step[part]):.{digits}f} {unit}'
         for part, digits, unit in ((slice(0, 3), 4, 'm'), (slice(3, 6), 3, 'deg')))
-    left_out = ', '.join(np.array(DEGREES_OF_FREEDOM)[unknown])
+    left_out = ', '.join(np.array(DEGREES_OF_FREEDOM)[unobserved])
     return f'{words} (without {left_out})' if left_out else words
 
 
@@ -186,8 +187,8 @@ def status_sentence(rows: tuple[Row, ...]) -> str:
 class Verdict(NamedTuple):
     """The judgement of a result.
 
-    ``level`` is 'good', 'care', 'open' (a direction is unknown) or 'failed'; ``sentence`` says
-    what is good and what is not, ``next_step`` what to do now.
+    ``level`` is 'good', 'care', 'incomplete' (a direction is unobserved) or 'failed';
+    ``sentence`` says what is good and what is not, ``next_step`` what to do now.
     """
 
     level: str
@@ -207,7 +208,7 @@ def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Ver
     serious = [found.text for found in result.findings
                if found.level == SERIOUS and not found.code.startswith('direction-')]
     if worst == UNOBSERVED:
-        return Verdict(OPEN, sentence, _advice(result, 'direction-unobserved'))
+        return Verdict(INCOMPLETE, sentence, _advice(result, 'direction-unobserved'))
     if serious:
         return Verdict(CARE, f'{sentence}, but check the data first', serious[0])
     if worst == WEAK:

@@ -13,6 +13,7 @@ from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.outputs.answer import CARE, FAILED, GOOD, INCOMPLETE, TITLES
 from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Canvas, limits, Plot, Scene
 from trajectory_calibration.outputs.report.page import (
@@ -84,11 +85,10 @@ def _colour(rig: RigResult, name: str) -> str:
 
 def _box(rig: RigResult) -> str:
     weak = any('weak' in sensor.status.values() for sensor in rig.sensors.values())
-    style, badge = (
-        ('failed', 'A sensor contradicts the others') if any(
-            item.kind != 'clock' for item in rig.contradictions) else
-        ('open', 'Part of it is unknown') if rig.unobserved or rig.unplaced else
-        ('care', 'Usable with care') if weak or rig.p_value < _WRONG else ('good', 'Usable'))
+    level = (FAILED if any(item.kind != 'clock' for item in rig.contradictions) else
+             INCOMPLETE if rig.unobserved or rig.unplaced else
+             CARE if weak or rig.p_value < _WRONG else GOOD)
+    badge = 'A sensor contradicts the others' if level == FAILED else TITLES[level]
     rows = []
     for sensor in rig.sensors.values():
         if sensor.name != sensor.base:
@@ -102,7 +102,7 @@ def _box(rig: RigResult) -> str:
             'pitch, deg', 'yaw, deg', 'clock offset, ms', 'scale')
     worst = next((found.text for found in rig.findings if found.level == 'serious'), '')
     return verdict_section(
-        style, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
+        level, f'Rig of {counted(len(rig.sensors), "sensor")} in {escape(rig.base)}', badge,
         f'<p class="sentence">{escape(sentence(loops_text(rig)))}</p>{table(head, rows)}'
         f'{next_step(worst)}')
 
@@ -173,7 +173,7 @@ def _misfits(rig: RigResult) -> str:
         if pair.failure:
             rows.append((name, pair.failure[:80], '', '', ''))
             continue
-        # Components that the pair leaves open agree with anything.
+        # Components that the pair leaves unobserved agree with anything.
         known = pair.std < limits_of(rig.config.calibration)
         off, std = (np.linalg.norm(np.reshape(values * known, (2, 3)), axis=1)
                     for values in (pair.residual, pair.std))

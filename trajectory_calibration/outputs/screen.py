@@ -16,9 +16,9 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.solvers.solution import UNKNOWN
+from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
-_KNOWN = 0.5 * UNKNOWN
+_KNOWN = 0.5 * UNOBSERVED_STD
 
 # Findings that are shown without -v.
 _MOST_FINDINGS = 3
@@ -55,12 +55,12 @@ def format_result(
 
 
 def format_transform(result: CalibrationResult) -> str:
-    """Return 'x y z qx qy qz qw' in one line; what is not determined reads 'unknown'."""
+    """Return 'x y z qx qy qz qw' in one line; of what is unobserved 'unknown'."""
     return ' '.join(transform_words(result, 9, 9)) + '\n'
 
 
 def transform_words(result: CalibrationResult, digits: int, quaternion_digits: int) -> list[str]:
-    """Return x, y, z, qx, qy, qz, qw; 'unknown' for what is not determined."""
+    """Return x, y, z, qx, qy, qz, qw; 'unknown' for what is unobserved."""
     rows = answer_rows(result)
     words = [fixed(row.value, digits) if row.is_known else row.word for row in rows[:3]]
     known = all(row.is_known for row in rows[3:])

@@ -284,17 +284,17 @@ def _findings(
         found.append(Finding('rig-groups', (
             f'{len(trees)} groups of sensors share no motion with each other: '
             f'{"; ".join(", ".join(tree) for tree in trees)}. Each is answered by itself')))
-    open_: dict[str, list[str]] = {}
+    unobserved: dict[str, list[str]] = {}
     for sensor in sensors.values():
         for component in sensor.unobserved:
-            open_.setdefault(component, []).append(sensor.name)
+            unobserved.setdefault(component, []).append(sensor.name)
     found += [
         Finding('direction-unobserved', (
-            f'{component} of {", ".join(names)} unobservable. Drive '
+            f'{component} of {", ".join(names)} unobserved. Drive '
             f'{"curves" if component in _SHOWN_BY_CURVES else "ramps and banks"}, or '
             'measure it and write prior_translation or prior_rotation (and its _std) below the '
             'sensor in RIG.yaml'), {'component': component, 'sensors': names})
-        for component, names in open_.items()]
+        for component, names in unobserved.items()]
     if p_value < FALSE_ALARM:
         found.append(Finding('rig-loops', (
             f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '

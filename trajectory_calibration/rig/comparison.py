@@ -27,7 +27,7 @@ class Change:
     ----------
     sensor : its name.
     step, std : (6,), from the old pose in the base to the new one, order as a covariance; of the
-        base itself, about the base. NaN of components that the drives leave open.
+        base itself, about the base. NaN of components that the drives leave unobserved.
     chi_squared, degrees, p_value : of no change, along what both drives observe.
 
     """
@@ -137,7 +137,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         tried = []
         for name, column in columns.items():
             A = np.concatenate([free, limits * column], axis=1)
-            # A move along what is open is not looked for either.
+            # A move along what is unobserved is not looked for either.
             answer, _, rank, _ = np.linalg.lstsq(
                 K @ A, shift, rcond=1.0 / max(1.0, float(np.linalg.norm(K @ A, 2))))
             tried.append((float(np.sum((shift - K @ A @ answer)**2)), name,

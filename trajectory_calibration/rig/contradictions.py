@@ -186,9 +186,9 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
     half = min(2 ** best, size)
     steps, samples = _steps(grid, half)
     found = []
-    for s, free in enumerate(tree.free_twists()):
-        evidence = *_blocks(levels, noise, s, size, blocks), free
-        degrees = 6 - free.shape[1]
+    for s, unobserved in enumerate(tree.unobserved_twists()):
+        evidence = *_blocks(levels, noise, s, size, blocks), unobserved
+        degrees = 6 - unobserved.shape[1]
         tried = [(cut * size, None, *told) for cut in range(blocks)
                  if (told := _change(*evidence, cut, cut)) is not None]
         jumps = [(sample, jump, *told)
@@ -289,7 +289,7 @@ def _against(
 
 
 def _change(
-    score: FloatArray, information: FloatArray, free: FloatArray, until: int, since: int,
+    score: FloatArray, information: FloatArray, unobserved: FloatArray, until: int, since: int,
 ) -> tuple[FloatArray, FloatArray, int] | None:
     """Return the (6,) change of the extrinsic between two blocks, and its (6, 6) weight.
 
@@ -312,7 +312,7 @@ def _change(
     of_noise = 6 * (len(left) - 2)
     inflation = max(1.0, float(scatter) / of_noise)
     weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
-    return x[1] - x[0], without(weight, free), of_noise
+    return x[1] - x[0], without(weight, unobserved), of_noise
 
 
 def describe_size(step: FloatArray) -> str:

@@ -80,9 +80,9 @@ def fuse(
 
     ``start`` (S, 4, 4) are the sensors in the base, which is the first, roughly; ``pairs`` (P,)
     parent and child, in a connected graph; ``answers`` (P, 4, 4) the child in the parent, metres
-    of the base; ``C`` (P, 6, P, 6) their joint covariance. A direction is open, and no loop is
-    judged by it, from ``limits`` (6,) on. ``priors`` are of the poses in the base, by sensor but
-    the first. Pairs that are not ``trusted`` (P,) have hardly any weight: they tell only what
+    of the base; ``C`` (P, 6, P, 6) their joint covariance. A direction is unobserved, and no loop
+    is judged by it, from ``limits`` (6,) on. ``priors`` are of the poses in the base, by sensor
+    but the first. Pairs that are not ``trusted`` (P,) have hardly any weight: they tell only what
     nothing else does.
 
     Raises
@@ -103,7 +103,7 @@ def fuse(
         Q, triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))
         step = np.linalg.solve(
             triangle, Q.T @ np.concatenate([_times(whitening, residual), expected]))
-        # In deviations: rounding moves what is open by more than what is known.
+        # In deviations: rounding moves what is unobserved by more than what is known.
         left = float(np.linalg.norm(triangle @ step))
         X[1:] = se3.moved(X[1:], step.reshape(-1, 6))
         if np.abs(step).max() < _SETTLED:
@@ -151,7 +151,7 @@ def _pair_misfits(
         part = slice(6 * p, 6 * p + 6)
         own, P = left[part] @ V @ left[part].T, C[p, :, p]
         if np.trace(np.linalg.solve(regular(P), own)) > 1e-6:
-            # What the pair leaves open counts as open, whatever the others know.
+            # What the pair leaves unobserved counts as such, whatever the others know.
             K = whitener(P, limits)
             found, degrees[p] = K @ residual[part], len(K)
             each[p] = found @ np.linalg.solve(K @ own @ K.T + 1e-4 * np.eye(len(K)), found)

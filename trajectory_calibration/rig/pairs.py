@@ -137,7 +137,7 @@ def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig
     def badness(name: str) -> tuple[bool, float]:
         for answer in answers:
             if name in (answer.parent, answer.child):
-                # The geometric mean, so that a height that all leave open decides nothing.
+                # The geometric mean, so that a height that all leave unobserved decides nothing.
                 values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
                 return config.of(name).scale == 'free', float(np.mean(np.log(values)))
         return True, np.inf

@@ -69,7 +69,7 @@ class SensorAnswer:
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """Return the components that the motion leaves open."""
+        """Return the components that the motion leaves unobserved."""
         return tuple(name for name in DEGREES_OF_FREEDOM if self.status.get(name) == UNOBSERVED)
 
 

@@ -14,7 +14,7 @@ from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.observed import drawn_near, open_directions
+from trajectory_calibration.geometry.observed import drawn_near, unobserved_directions
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.fusion import fuse, fuse_numbers, Fused, spanning_start
@@ -71,7 +71,7 @@ class Tree:
     answers : (P, 4, 4), in metres of the base.
     C : (P, 6, P, 6), joint covariance of the answers.
     start : (S, 4, 4), sensors in the base, roughly.
-    limits : (6,), deviations from which a direction is open.
+    limits : (6,), deviations from which a direction is unobserved.
     sensor_noise : (S,), None where too few windows tell.
     levels, noise, grid : what the common windows say; without trajectories nothing.
 
@@ -91,15 +91,15 @@ class Tree:
     noise: FloatArray | None
     grid: Grid | None
 
-    def free_twists(self) -> list[FloatArray]:
-        """Return (S,) the (6, K) twists about the base that even the best pair leaves open."""
-        free = [np.eye(6)] * len(self.names)
+    def unobserved_twists(self) -> list[FloatArray]:
+        """Return (S,) the (6, K) twists about the base that not even the best pair observes."""
+        unobserved = [np.eye(6)] * len(self.names)
         for p, (i, j) in enumerate(self.ends):
             to_base = np.linalg.inv(twist_to_step(self.start[i], self.start[j]))
-            of_pair = open_directions(to_base @ self.C[p, :, p] @ to_base.T, self.limits)
+            of_pair = unobserved_directions(to_base @ self.C[p, :, p] @ to_base.T, self.limits)
             for s in (i, j):
-                free[s] = min(free[s], of_pair, key=lambda columns: columns.shape[1])
-        return free
+                unobserved[s] = min(unobserved[s], of_pair, key=lambda columns: columns.shape[1])
+        return unobserved
 
     def fuse(
         self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
@@ -138,7 +138,7 @@ def build_tree(
     stated[:, :3] *= of_parents[:, None, None]
     stated[:, :, :3] *= of_parents[:, None, None]
     limits = limits_of(settings)
-    start = _agree_in_what_is_open(answers, stated, ends, sensors, limits)
+    start = _agree_in_what_is_unobserved(answers, stated, ends, sensors, limits)
     levels: list[Level] = []
     grid = None
     if all(name in trajectories for name in names):
@@ -206,11 +206,11 @@ def _of_base(sensors: int, ends: Sequence[tuple[int, int]], stds: FloatArray) ->
     return found
 
 
-def _agree_in_what_is_open(
+def _agree_in_what_is_unobserved(
     answers: FloatArray, stated: FloatArray, ends: Sequence[tuple[int, int]], sensors: int,
     limits: FloatArray,
 ) -> FloatArray:
-    """Draw answers near each other, in place, where they are open; return (S, 4, 4) sensors."""
+    """Draw answers near each other, in place, where unobserved; return (S, 4, 4) sensors."""
     for p, T in enumerate(answers):
         turned = se3.from_rotation_translation(T[:3, :3], np.zeros(3))
         answers[p], stated[p] = drawn_near(T, stated[p], turned, limits)

@@ -180,7 +180,7 @@ def _advice_values(advice: Advice | None) -> dict[str, object]:
         'rotation_deg_per_motion_xyz': _three(result.observability.excitation_deg, 2),
         'predicted_translation_std_m_xyz': _three(std[:3], 4),
         'predicted_rotation_std_deg_xyz': _three(std[3:], 3),
-        'predicted_unobservable': ', '.join(result.observability.unobserved),
+        'predicted_unobserved': ', '.join(result.observability.unobserved),
         'predicted_extrinsic': headline(result),
     }
 

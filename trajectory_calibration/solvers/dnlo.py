@@ -50,7 +50,7 @@ _ENOUGH = 400
 # Precision of an extrinsic from which a search goes on, radians.
 _ROUGHLY = 1e-5
 
-# One motion leaves the axis of its turn open.
+# One motion leaves the axis of its turn unobserved.
 _LEAST_KEPT = 2
 
 # Starts of the alternation: consecutive parts of the drive, each solved alone.

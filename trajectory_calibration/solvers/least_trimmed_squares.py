@@ -60,7 +60,7 @@ class TrimmedCost:
     features : (91, M), see ``quadratic.features``.
     c : cost of rejecting a motion.
     least : the least sum of weights, d M.
-    prior : where the directions are held that the kept motions leave open.
+    prior : where the directions are held that the kept motions leave unobserved.
 
     """
 

@@ -25,18 +25,18 @@ from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.errors import MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers.solution import UNKNOWN
+from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
-# Relative to the largest eigenvalue of a sum of squares: below it a direction is not determined
+# Relative to the largest eigenvalue of a sum of squares: below it a direction is unobserved
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
-_UNDETERMINED = 1e-12
+_UNOBSERVED = 1e-12
 
-# Weight, relative to the rotation's part of a form, of what holds an undetermined rotation.
+# Weight, relative to the rotation's part of a form, of what holds an unobserved rotation.
 _HOLD = 1e-9
 
-# Standard deviation, metres, of a translation that means nothing: far beyond the unknown, because
+# Standard deviation, metres, of a translation that means nothing: far beyond ``UNOBSERVED_STD``:
 # published rows are 20 and 100 m off. What holds it outweighs the motion by at least this.
-_IMPLAUSIBLE, _FIRMLY = 10 * UNKNOWN[0], 1e9
+_IMPLAUSIBLE, _FIRMLY = 10 * UNOBSERVED_STD[0], 1e9
 
 # The smallest root mean square motion (radians; metres a metre of the way from the origin) that
 # is more than rounding.
@@ -78,7 +78,7 @@ class Minimum:
     T_a_b : (4, 4).
     cost : value of the quadratic form.
     iterations : Newton iterations of all starts together.
-    form : (13, 13), the form with what holds the directions that the motion leaves open.
+    form : (13, 13), the form with what holds the directions that the motion leaves unobserved.
 
     """
 
@@ -166,9 +166,9 @@ def minimise(
 ) -> Minimum:
     """Minimise ``v^T G v`` over rotations and translations, from many starts at once.
 
-    What the form leaves open, but for rounding, is as near as possible to the prior, or to zero
-    and the identity where there is none. ``starts`` are (S, 3, 3) rotations; the 24 rotations of
-    a cube where omitted.
+    What the form leaves unobserved, but for rounding, is as near as possible to the prior, or to
+    zero and the identity where there is none. ``starts`` are (S, 3, 3) rotations; the 24 of a cube
+    where omitted.
     """
     G = held_translation(G, prior)
     starts = _CUBE if starts is None else starts
@@ -182,7 +182,7 @@ def minimise(
 
 
 def held_translation(G: FloatArray, prior: Prior | None = None) -> FloatArray:
-    """Return (..., 13, 13) forms that hold at the prior, or at zero, what G leaves open of t."""
+    """Return (..., 13, 13) forms that hold what G leaves unobserved of t at the prior, or zero."""
     hold = hold_of(G[..., 9:12, 9:12], np.einsum('...ii->...', G[..., :9, :9]))
     if not hold.any():
         return G
@@ -197,15 +197,15 @@ def held_translation(G: FloatArray, prior: Prior | None = None) -> FloatArray:
 
 
 def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
-    """Return (..., 3, 3) forms that hold what ``turns``, sums of ``D^T D``, leave open of t.
+    """Return (..., 3, 3) forms that hold what ``turns``, sums of ``D^T D``, leave unobserved of t.
 
     ``size`` (...) is the motion in the same sums: without any turn, all that they say against it
     is rounding.
     """
     eigenvalues, axes = np.linalg.eigh(turns)
     largest = np.maximum(eigenvalues[..., -1], _UNTURNED * np.asarray(size))[..., None]
-    open_ = eigenvalues <= _UNDETERMINED * largest
-    weight = np.where(open_, np.maximum(largest, np.finfo(float).tiny), 0.0)
+    unobserved = eigenvalues <= _UNOBSERVED * largest
+    weight = np.where(unobserved, np.maximum(largest, np.finfo(float).tiny), 0.0)
     hold: FloatArray = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
     return hold
 
@@ -213,19 +213,19 @@ def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
 def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
     """Return a (3, 3) form that holds the directions of t farther than sensors can be apart.
 
-    A rotation that is open leaves residuals as large as the motion, which a direction of hardly
+    An unobserved rotation leaves residuals as large as the motion, which a direction of hardly
     any turn explains by kilometres: with ``variance`` of a residual, m^2, such a t means nothing.
     """
     eigenvalues, axes = np.linalg.eigh(turns)
     least = variance / _IMPLAUSIBLE**2
-    open_ = axes[:, eigenvalues < least]
-    hold: FloatArray = _FIRMLY * least * open_ @ open_.T
+    unobserved = axes[:, eigenvalues < least]
+    hold: FloatArray = _FIRMLY * least * unobserved @ unobserved.T
     return hold
 
 
 def linear_start(G: FloatArray) -> FloatArray:
     """Return the (3, 3) rotation next to the minimum over all matrices, rotations or not."""
-    v = -np.linalg.pinv(G[:12, :12], rcond=_UNDETERMINED, hermitian=True) @ G[:12, 12]
+    v = -np.linalg.pinv(G[:12, :12], rcond=_UNOBSERVED, hermitian=True) @ G[:12, 12]
     return se3.nearest_rotation(v[:9].reshape(3, 3))
 
 
@@ -292,7 +292,7 @@ def polish(
         J = slopes @ found
         H += J @ J.T
         g += J @ (monomials(T_a_b) @ found)
-    Q = determined_directions(H, len(motions))
+    Q = observed_directions(H, len(motions))
     return se3.moved(T_a_b, -Q @ (Q.T @ g))
 
 
@@ -301,11 +301,11 @@ def newton_step(G: FloatArray, T_a_b: FloatArray, motions: int) -> FloatArray:
     slopes, Gv = _slopes(T_a_b), G @ monomials(T_a_b)
     H = slopes @ G @ slopes.T
     H[3:, 3:] += _bend(T_a_b[:3, :3], Gv[:9].reshape(3, 3))
-    Q = determined_directions(H, motions)
+    Q = observed_directions(H, motions)
     return se3.moved(T_a_b, -Q @ (Q.T @ (slopes @ Gv)))
 
 
-def determined_directions(H: FloatArray, motions: int) -> FloatArray:
+def observed_directions(H: FloatArray, motions: int) -> FloatArray:
     """Return (6, K) Q with ``Q^T H Q = I``: what a sum of squares in (t, theta) determines.
 
     ``Q Q^T`` is its inverse, zero where that is rounding.
@@ -313,7 +313,7 @@ def determined_directions(H: FloatArray, motions: int) -> FloatArray:
     largest = np.diagonal(H).reshape(2, 3).max(axis=1)
     scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
     eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = eigenvalues > _UNDETERMINED * max(float(eigenvalues[-1]), 1.0)
+    kept = eigenvalues > _UNOBSERVED * max(float(eigenvalues[-1]), 1.0)
     found: FloatArray = Q[:, kept] / np.sqrt(eigenvalues[kept]) / scale[:, None]
     return found
 
@@ -345,7 +345,7 @@ def _determines_rotation(G: FloatArray, T_a_b: FloatArray) -> bool:
     """Tell whether a form determines the rotation at its minimum, but for rounding."""
     J = _slopes(T_a_b)[3:, :9]
     eigenvalues = np.linalg.eigvalsh(J @ without_translation(G)[:9, :9] @ J.T)
-    return bool(eigenvalues[0] > _UNDETERMINED * eigenvalues[-1])
+    return bool(eigenvalues[0] > _UNOBSERVED * eigenvalues[-1])
 
 
 def _with_one(R: FloatArray) -> FloatArray:

@@ -90,7 +90,7 @@ def align_rotation_vectors(motions: MotionPairs, prior: Prior) -> FloatArray:
 
     Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
     ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``. What turns about fewer than two axes leave
-    open is as near as possible to the prior, or to the identity.
+    unobserved is as near as possible to the prior, or to the identity.
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
@@ -106,7 +106,7 @@ def solve_translation(
 ) -> tuple[FloatArray, float]:
     """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2.
 
-    What the turns leave open is as near as possible to the prior, or to zero.
+    What the turns leave unobserved is as near as possible to the prior, or to zero.
     """
     D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)

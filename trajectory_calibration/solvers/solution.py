@@ -15,9 +15,9 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Standard deviations that stand for "unknown", metres and radians: no two sensors of one vehicle
-# are farther apart. More would let the unknown direction, which noise tilts, spill into others.
-UNKNOWN = np.array([10.0] * 3 + [np.pi] * 3)
+# Standard deviations of an unobserved direction, metres and radians: no two sensors of one vehicle
+# are farther apart. More would let that direction, which noise tilts, spill into others.
+UNOBSERVED_STD = np.array([10.0] * 3 + [np.pi] * 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,8 +151,8 @@ def _gauss_newton(S: FloatArray, start: FloatArray, hold: FloatArray, motions: i
     """Minimise with ``(x - start)^T hold (x - start)`` added to the cost."""
     x, iteration, rounding = start, 0, _ROUNDING * float(S[15, 15])
     plain, gradient, H = _equations(S, x)
-    # A direction that the motion leaves open stays where it is, whatever rounding makes of it.
-    Q = quadratic.determined_directions(H, motions)
+    # An unobserved direction stays where it is, whatever rounding makes of it.
+    Q = quadratic.observed_directions(H, motions)
     for iteration in range(1, _MAX_ITERATIONS + 1):
         off = x - start
         cost = plain + off @ hold @ off

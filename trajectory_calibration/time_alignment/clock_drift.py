@@ -174,7 +174,7 @@ def _fit(
     ``J`` is (K, 3, n), ``weights`` (K,), ``residual`` (K, 3).
     """
     weighted = weights[:, None, None] * J
-    # A pseudo-inverse, because the rotation about an unused axis is undetermined.
+    # A pseudo-inverse, because the rotation about an unused axis is unobserved.
     inverse = np.asarray(
         np.linalg.pinv(_gram(weighted, J), rcond=se3.ROUNDING, hermitian=True), dtype=np.float64)
     return inverse @ _gram(weighted, residual), inverse

@@ -79,7 +79,7 @@ class PartAnswers(NamedTuple):
 
     ``names`` are 'Q1' to 'Q4', of which there are ``quarters``, then the seconds of each time
     scale; ``values`` and ``std`` are (N,), as are ``known`` (the part tells this number) and
-    ``far`` (it contradicts the answer, whose deviation is ``own``); ``is_open``: nothing tells it.
+    ``far`` (it contradicts the answer, whose deviation is ``own``), or all ``unobserved``.
     """
 
     quarters: int
@@ -89,7 +89,7 @@ class PartAnswers(NamedTuple):
     own: float
     known: NDArray[np.bool_]
     far: NDArray[np.bool_]
-    is_open: bool
+    unobserved: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,14 +129,14 @@ class ReportData:
         values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
         std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
         own = 0.0 if self.result.std is None else TO_DEGREES[k] * self.result.std[k]
-        is_open = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
-        known = np.isfinite(std) & (std < limits.unobserved_limit) & (not is_open)
+        unobserved = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
+        known = np.isfinite(std) & (std < limits.unobserved_limit) & (not unobserved)
         # Beyond chance, and beyond what anybody would call a difference.
         far = known & (np.abs(values) > _FAR * np.hypot(std, own)) & (
             np.abs(values) > _NOTABLE * limits.weak_limit)
         names = (*(f'Q{n + 1}' for n in range(len(parts.quarters))),
                  *(f'{seconds:g}' for seconds in parts.scales_s))
-        return PartAnswers(len(parts.quarters), names, values, std, own, known, far, is_open)
+        return PartAnswers(len(parts.quarters), names, values, std, own, known, far, unobserved)
 
 
 def report_data(

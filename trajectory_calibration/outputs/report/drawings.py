@@ -101,7 +101,7 @@ def part_plot(data: ReportData, k: int) -> Plot:
     plot = Plot(x, (-reach, reach), height=150, name=f'{AXES[k]} from parts of the data',
                 x_ticks=list(zip(places, found.names, strict=True)),
                 x_label='quarters | time scales, s', y_label=f'{AXES[k]}, {unit_of(k)}')
-    if found.is_open:
+    if found.unobserved:
         plot.write(sum(x) / 2, 0.0, 'not determined by the motion', 'middle')
         return plot
     plot.band(x, [-2 * found.own] * 2, [2 * found.own] * 2, 'band-answer')

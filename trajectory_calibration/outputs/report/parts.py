@@ -23,7 +23,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import TO_DEGREES
 from trajectory_calibration.outputs.report.tracks import Indices, Tracks
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.solvers.solution import UNKNOWN
+from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
 # Seconds of the time scales that are shown, where the drive is long enough.
 TIME_SCALES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
@@ -174,14 +174,14 @@ def _solve(scores: _Scores, held: FloatArray) -> tuple[FloatArray, FloatArray]:
     spread = _long_run(left, min(2 * scores.overlap, len(left) // 3))
     # A spread from so few is itself uncertain.
     spread *= 1 + _SMALL_SAMPLE / independent
-    covariance = inverse @ (spread + np.diag(UNKNOWN**-2.0)) @ inverse
+    covariance = inverse @ (spread + np.diag(UNOBSERVED_STD**-2.0)) @ inverse
     return step, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 
 
 def _held(observability: Observability) -> FloatArray:
     """Return (6, 6), the information that keeps what is unobserved where the answer has it.
 
-    Else noise, which tilts an open direction a little, would spill metres into the others.
+    Else noise, which tilts an unobserved direction a little, would spill metres into the others.
     """
     held = np.zeros((6, 6))
     for item in observability.weak_axes:
@@ -192,10 +192,10 @@ def _held(observability: Observability) -> FloatArray:
 
 
 def _bounded_inverse(information: FloatArray, held: FloatArray) -> FloatArray:
-    """Return the inverse with a prior of ``UNKNOWN``: what is not seen stays where it is."""
+    """Return the inverse with a prior of ``UNOBSERVED_STD``: the unobserved stays where it is."""
     information = information + held
-    values, vectors = np.linalg.eigh(UNKNOWN[:, None] * information * UNKNOWN)
-    root = UNKNOWN[:, None] * vectors / np.sqrt(np.maximum(values, 0.0) + 1.0)
+    values, vectors = np.linalg.eigh(UNOBSERVED_STD[:, None] * information * UNOBSERVED_STD)
+    root = UNOBSERVED_STD[:, None] * vectors / np.sqrt(np.maximum(values, 0.0) + 1.0)
     return root @ root.T
 
 
@@ -219,9 +219,9 @@ def _growth(
     std = np.array([np.sqrt(np.diagonal(_bounded_inverse(running[end], held))) for end in ends])
     if result.std is not None:
         std *= result.std / np.maximum(std[-1], 1e-300)
-    std = np.minimum(std, UNKNOWN)
-    unknown = [status == UNOBSERVED for status in result.observability.status.values()]
-    std[:, unknown] = np.nan
+    std = np.minimum(std, UNOBSERVED_STD)
+    unobserved = [status == UNOBSERVED for status in result.observability.status.values()]
+    std[:, unobserved] = np.nan
     return tracks.seconds[scores.start[ends]], std * TO_DEGREES
 
 

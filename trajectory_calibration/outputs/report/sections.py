@@ -66,7 +66,7 @@ def _motion(data: ReportData) -> str:
         ratio = np.nanmedian(growth[len(growth) // 2] / np.maximum(growth[-1], 1e-300))
         gain = (f'The second half of the drive made the deviations {ratio:.2g} times smaller '
                 '(1.4 is usual for more of the same motion).')
-    unknown = np.zeros((6, 6))
+    none = np.zeros((6, 6))
     figures = (
         figure('motion', draw.rotation_by_axis(data), reading)
         + figure('translation by time', draw.deviation_over_time(data, rotation=False), gain,
@@ -75,10 +75,10 @@ def _motion(data: ReportData) -> str:
                  'A step down marks a manoeuvre that helped; a flat curve says that more of the '
                  'same does not.', legend=key)
         + sensor_views([
-            Mounted(result.frame_a, np.eye(4), unknown, dict.fromkeys(status, OBSERVED),
+            Mounted(result.frame_a, np.eye(4), none, dict.fromkeys(status, OBSERVED),
                     'var(--a)'),
             Mounted(result.frame_b, result.T_a_b,
-                    unknown if result.covariance is None else result.covariance, status,
+                    none if result.covariance is None else result.covariance, status,
                     'var(--b)')]))
     return section(2, 'Was the motion enough?', figures)
 
@@ -100,7 +100,7 @@ def _parts(data: ReportData) -> str:
 
 def _agreement(data: ReportData, k: int) -> str:
     found = data.of_parts(k)
-    if found.is_open:
+    if found.unobserved:
         return 'Not determined by the motion.'
     if not found.known.any():
         return 'No part alone determines it.'

@@ -39,15 +39,15 @@ class Mounted(NamedTuple):
     colour: str
 
     @property
-    def unknown(self) -> list[str]:
-        """Return those of x, y, z that nothing determines."""
+    def unobserved(self) -> list[str]:
+        """Return those of x, y, z that are unobserved."""
         return [axis for axis in 'xyz' if self.status[axis] == UNOBSERVED]
 
 
 def sensor_views(sensors: Sequence[Mounted]) -> str:
     """Return figures of sensors seen along z, y and x of the frame of the first one."""
-    known = np.array([[axis not in sensor.unknown for axis in 'xyz'] for sensor in sensors])
-    # What is unknown of a sensor is drawn at its origin, without a size.
+    known = np.array([[axis not in sensor.unobserved for axis in 'xyz'] for sensor in sensors])
+    # What is unobserved of a sensor is drawn at its origin, without a size.
     places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
     P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
         known[:, :, None] & known[:, None, :])
@@ -70,11 +70,11 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
             scene.text(_WIDTH - 6, 12, f'ellipses drawn {larger} times as large', 'end')
         for sensor, place, region in zip(sensors, places[:, axes], regions, strict=True):
             _draw(scene, sensor, axes, place, larger * region)
-        unknown = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors
-                            if (names := sensor.unknown))
+        unobserved = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors
+                            if (names := sensor.unobserved))
         where = ' along the stripe' if not known[:, axes].all() else ''
         figures += figure(
-            'sensors', scene, f'{unknown}: unknown{where}.' if unknown else
+            'sensors', scene, f'{unobserved}: unknown{where}.' if unobserved else
             'Each sensor lies in its ellipse with 95 % probability.',
             axis=along, base=sensors[0].name)
     return figures
@@ -84,16 +84,16 @@ def _draw(
     scene: Scene, sensor: Mounted, axes: list[int], place: FloatArray, region: FloatArray,
 ) -> None:
     x, y = scene.place(place)
-    if 'xyz'[axes[0]] in sensor.unknown:
-        scene.box(0, y - 7, _WIDTH, 14, 'open')
-    if 'xyz'[axes[1]] in sensor.unknown:
-        scene.box(x - 7, 0, 14, _HEIGHT, 'open')
+    if 'xyz'[axes[0]] in sensor.unobserved:
+        scene.box(0, y - 7, _WIDTH, 14, 'unobserved')
+    if 'xyz'[axes[1]] in sensor.unobserved:
+        scene.box(x - 7, 0, 14, _HEIGHT, 'unobserved')
     if region.any():
         scene.line(place + region, 'ellipse', f'stroke:{sensor.colour}', closed=True)
     scene.line(np.stack([np.zeros(2), place]), 'lever')
     scene.axes(place, sensor.T[axes, :3], _ARM / scene.pixels)
     scene.dot(place, 4, css=f'fill:{sensor.colour}')
-    words = f' ({", ".join(sensor.unknown)} unknown)' if sensor.unknown else ''
+    words = f' ({", ".join(sensor.unobserved)} unknown)' if sensor.unobserved else ''
     at_right = x > _AT_RIGHT * _WIDTH
     scene.text(x + (-7 if at_right else 7), y - 7, sensor.name + words,
                'end' if at_right else 'start')

@@ -87,7 +87,7 @@ def median(values: FloatArray) -> float:
 
 
 def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return x of ``matrix x = right`` for a positive semidefinite (m, m); open directions zero.
+    """Return x of ``matrix x = right`` for a positive semidefinite (m, m); zero where unobserved.
 
     Columns are scaled to one first; what is then below rounding is no information.
     """

@@ -11,8 +11,8 @@ from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
-# Directions with less information than this part of the others (rounding) are open: a kilometre.
-_OPEN, _FAR = 1e-11, 1e3
+# Below this part of the information of the others a direction is unobserved: a kilometre.
+_ROUNDING, _FAR = 1e-11, 1e3
 
 # Latencies beyond this, seconds, are unlikely, whatever the tail of the prior says.
 _LONG_LATENCY_S = 0.1
@@ -21,11 +21,11 @@ _ABSCISSAE = np.linspace(-8.0, 8.0, 2001)
 
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inverse where there is one, and the covariance of what is exactly open."""
+    """Return the inverse where there is one, and the covariance of what is exactly unobserved."""
     diagonal = np.diag(bread)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(bread * np.outer(scale, scale))
-    known = values > _OPEN
+    known = values > _ROUNDING
     rows = scale[:, None] * vectors
     kept = rows[:, known]
     free = rows[:, ~known] / np.linalg.norm(rows[:, ~known], axis=0)
@@ -41,8 +41,8 @@ def _told_of_latency(fit: Fit, A: FloatArray) -> float:
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
-    known, open_ = _inverse(A / fit.phi + np.diag(prior))
-    told = 1 / (known + open_)[LATENCY, LATENCY]
+    known, apart = _inverse(A / fit.phi + np.diag(prior))
+    told = 1 / (known + apart)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
     precision = told + _LONG_LATENCY_S**-2
     middle = (told + fit.prior[LATENCY]) * mode / precision
@@ -63,7 +63,7 @@ def covariance(fit: Fit) -> FloatArray:
     prior = fit.prior.copy()
     prior[:6] = 0.0
     prior[LATENCY] = _told_of_latency(fit, A)
-    inverse, open_ = _inverse(A / fit.phi + np.diag(prior))
-    result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + open_
+    inverse, apart = _inverse(A / fit.phi + np.diag(prior))
+    result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + apart
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
     return 0.5 * (result + result.T)

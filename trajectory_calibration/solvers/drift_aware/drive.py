@@ -47,7 +47,7 @@ TERMS = {'scale': slice(6, 7), 'systematic_drift': DRIFT, 'time_offset': slice(1
 HALF_WIDTH = np.array([0.01, 0.002, 0.002, 0.002, 0.005, 0.005])
 
 # Of the extrinsic next to nothing is known beforehand: a kilometre, and any angle. It keeps
-# directions that the motion leaves open finite, and says so in the covariance.
+# directions that the motion leaves unobserved finite, and says so in the covariance.
 _OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
 
 # A stop of the stamps longer than this, and than five usual steps, is a gap: nothing is known of

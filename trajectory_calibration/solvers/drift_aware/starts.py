@@ -129,7 +129,7 @@ def _candidate(motions: _Motions) -> FloatArray:
         w = _trust(lengths(of_a - of_b @ R.T))
     begun = [from_rotation_translation(R, np.zeros(3))]
     if values[1] < _ONE_AXIS * values[0]:
-        # What the rotations leave open, the translations tell: by quarters first.
+        # What the rotations leave unobserved, the translations tell: by quarters first.
         turns = exp(0.5 * np.pi * np.arange(4)[:, None] * U[:, 0])
         begun = [from_rotation_translation(turn @ R, np.zeros(3)) for turn in turns]
     begun = [_refined(T, motions, 1) for T in begun]
