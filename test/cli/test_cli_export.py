@@ -131,12 +131,12 @@ def test_an_unobserved_direction_is_flagged_in_every_format(capsys, tmp_path):
 
 def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys, tmp_path):
     a, b, _ = write_pair(tmp_path, planar=True)
-    folder = tmp_path / 'out'
+    folder = tmp_path / 'my out'
     status, _, err = run(capsys, 'calibrate', a, b, '--output', folder, '--solver', 'ali')
     assert status == 3
     assert [path.name for path in folder.iterdir()] == ['result.yaml']
     assert err == (f'no exports: z unobserved. To write one all the same: export '
-                   f'{folder}/result.yaml --as FORMAT --allow-unobserved\n')
+                   f"'{folder}/result.yaml' --as FORMAT --allow-unobserved\n")
     assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
         'z'] == 'unobserved'
     for name in EXPORTS:

@@ -144,9 +144,29 @@ def test_what_another_run_left_is_overwritten_with_force_only(drives, tmp_path, 
     assert 'table.csv and 5 more exist; give --force' in err
     assert {path: path.read_bytes() for path in (tmp_path / 'out').rglob('*.*')} == before
     assert run(capsys, *fleet, '--reference', 'B7', '--force')[0] == 0
+    # What was overwritten is gone: the same command goes on again, also with fewer recordings.
+    assert run(capsys, *fleet, '--reference', 'B7')[0] == 0
+    shutil.rmtree(tmp_path / 'in' / 'drive2')
+    (tmp_path / 'out' / 'results' / 'notes.yaml').write_text('a: person\n')
+    assert run(capsys, *fleet, '--reference', 'B7')[0] == 2
+    assert run(capsys, *fleet, '--reference', 'B7', '--force')[0] == 0
+    assert run(capsys, *fleet, '--reference', 'B7')[0] == 0
+    assert (tmp_path / 'out' / 'results' / 'notes.yaml').exists()
     # And tables that no fleet wrote.
     shutil.rmtree(tmp_path / 'out' / 'results')
     assert run(capsys, *fleet)[0] == 2
+
+
+def test_from_another_folder_it_is_the_same_run(drives, tmp_path, capsys, monkeypatch):
+    fleet = *FAST, '--output', tmp_path / 'out'
+    monkeypatch.chdir(drives)
+    assert run(capsys, 'fleet', 'drive[01]', *fleet)[0] == 0
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / 'out' / 'results').iterdir()}
+    monkeypatch.chdir(tmp_path)
+    status, _, err = run(capsys, 'fleet', f'{drives}/drive[01]', *fleet)
+    assert status == 0, err
+    assert before == {
+        path: path.stat().st_mtime_ns for path in (tmp_path / 'out' / 'results').iterdir()}
 
 
 def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):

@@ -104,6 +104,14 @@ def test_input_that_cannot_be_read_has_a_report(tmp_path, capsys):
     assert 'none.txt' in page.read_text(encoding='utf-8')
 
 
+def test_a_path_that_is_no_utf_8_has_a_report(tmp_path, capsys):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b'/M\xfcller'))
+    folder.mkdir()
+    a, b, _ = write_pair(folder)
+    assert run(capsys, 'calibrate', a, b, *SOLVER, '--report', folder / 'page.html')[0] == 0
+    assert r'M\udcfcller/a.txt' in (folder / 'page.html').read_text(encoding='utf-8')
+
+
 def test_plots_are_written_in_three_formats(tmp_path, capsys, monkeypatch):
     pytest.importorskip('matplotlib')
     from trajectory_calibration.outputs import plots

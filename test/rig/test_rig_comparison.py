@@ -72,6 +72,7 @@ def test_a_sensor_that_moved_is_named(mounts, moved):
     np.testing.assert_allclose(
         found.changes[0].step, [0.03, 0.0, 0.02, 0.0, 0.0, 0.01], atol=5 * SIGMA)
     assert f'{NAMES[moved]} moved by' in str(found)
+    assert str(found).count('chi-squared') == len(found.changes)
 
 
 def test_the_base_that_moved_is_named(mounts):

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+import shlex
 import sys
 
 from trajectory_calibration import exit_status
@@ -138,7 +139,8 @@ def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) ->
         raise ResultError(f'{error}; give another --output') from error
     if item.kept_back:
         print(f'no exports: {", ".join(result.observability.unobserved)} unobserved. To write '
-              f'one all the same: export {folder / RESULT_FILE} --as FORMAT --allow-unobserved',
+              f'one all the same: export {shlex.quote(str(folder / RESULT_FILE))} --as FORMAT '
+              '--allow-unobserved',
               file=sys.stderr)
     if removed:
         print(f'removed from {folder}, as of an earlier answer: '

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 import sys
 from typing import TYPE_CHECKING
@@ -17,7 +16,6 @@ from trajectory_calibration.cli.writing import require_new
 
 if TYPE_CHECKING:
     from trajectory_calibration.executor import Executor
-    from trajectory_calibration.fleet.jobs import Job
 
 OUTPUT = Path('fleet')
 
@@ -58,29 +56,24 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate the recordings, compare and print the table."""
     from trajectory_calibration.fleet.comparison import compare
-    from trajectory_calibration.fleet.jobs import read_jobs, run_jobs
+    from trajectory_calibration.fleet.jobs import read_jobs, results_of_others, run_jobs
     jobs = read_jobs(arguments.jobs_or_bags, arguments.a, arguments.b,
                      config_from_arguments(arguments))
-    _require_own(arguments.output, jobs, force=arguments.force)
+    results = arguments.output / 'results'
+    others = results_of_others(results, jobs)
+    # An earlier part of the same run is gone on with.
+    if others or not any((results / job.file_name).exists() for job in jobs):
+        require_new([*(arguments.output / name for name in FILES), *others],
+                    force=arguments.force)
     order = {job.name: k for k, job in enumerate(jobs)}
     with progress_bar('calibrating') as progress:
-        entries = list(run_jobs(
-            jobs, arguments.output / 'results', executor_of(arguments), progress))
+        entries = list(run_jobs(jobs, results, executor_of(arguments), progress))
     # Whichever was done first, and wherever: the same table.
     entries.sort(key=lambda entry: order[entry.name])
     for entry in entries:
         if entry.result is None:
             print(f'{entry.name}: no answer: {entry.failure}', file=sys.stderr)
     return report(compare(entries), arguments)
-
-
-def _require_own(folder: Path, jobs: Sequence[Job], *, force: bool) -> None:
-    """Raise ConfigError where the folder holds more than an earlier part of the same run."""
-    own = {job.file_name for job in jobs}
-    found = {path.name for path in (folder / 'results').glob('*.yaml')}
-    if found - own or not found:
-        require_new([*(folder / name for name in FILES),
-                     *(folder / 'results' / name for name in sorted(found - own))], force=force)
 
 
 def executor_of(arguments: argparse.Namespace) -> Executor:

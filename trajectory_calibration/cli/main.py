@@ -14,6 +14,7 @@ import io
 import os
 from pathlib import Path
 import re
+import shlex
 import sys
 
 from trajectory_calibration import exit_status
@@ -96,7 +97,7 @@ def _describe_unknown(
     what = 'option' if given.startswith('-') else 'argument'
     bags = [name for name in argv if is_bag(Path(name))]
     if what == 'argument' and bags and '--bag' not in argv:
-        meant = f'; a bag is an option: --bag {bags[0]}.'
+        meant = f'; a bag is an option: --bag {shlex.quote(bags[0])}.'
     return f'{command} takes no {what} {given}{meant} See {command} --help'
 
 

@@ -75,8 +75,8 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
                               'name')
         # A device or a pipe is written to as it is; a file is made anew, also in place of another.
         if (path.is_file() or not path.exists()) and not os.access(folder, os.W_OK | os.X_OK):
-            raise ResultError(f'{folder} cannot be written to; give another name, or correct its '
-                              'permissions')
+            raise ResultError(f'{folder.resolve()} cannot be written to; give another name, or '
+                              'correct its permissions')
 
 
 def plot_paths(folder: Path | None) -> list[Path]:

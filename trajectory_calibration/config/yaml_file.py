@@ -125,7 +125,7 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
 
     """
     try:
-        _write(path, to_yaml(data).encode(), overwrite=overwrite, lasting=True)
+        _write(path, to_yaml(data), overwrite=overwrite, lasting=True)
     except FileExistsError:
         raise
     except OSError as error:
@@ -149,17 +149,22 @@ def write_text(
     """Write over what is at ``path``, whole or not at all, in UTF-8, in a folder that is made."""
     make_folder(path.parent, error)
     try:
-        _write(path, text.encode() if isinstance(text, str) else text)
+        _write(path, text)
     except OSError as cause:
         raise error(f'{path} cannot be written: {cause.strerror or cause}') from cause
 
 
-def _write(path: Path, data: bytes, *, overwrite: bool = True, lasting: bool = False) -> None:
+def _write(
+    path: Path, data: str | bytes, *, overwrite: bool = True, lasting: bool = False,
+) -> None:
     """Write a file through a temporary one in the same folder and a rename.
 
     Of a link, the file that it names; a device or a pipe takes the bytes as they are. ``lasting``
     waits for the disk: what can be made again need not. Raises OSError and ValueError.
     """
+    if isinstance(data, str):
+        # The name of a file need be no UTF-8, and stands on a page.
+        data = data.encode(errors='backslashreplace')
     if overwrite:
         if path.exists() and not path.is_file() and not path.is_dir():
             path.write_bytes(data)

@@ -67,13 +67,21 @@ class Job:
 
     @property
     def fingerprint(self) -> str:
-        """Return 8 digits that change with the settings, the inputs and the version."""
+        """Return 8 digits that change with the settings, the inputs and the version.
+
+        Not with where the inputs lie: seen from another folder, they are the same.
+        """
+        options = self.options_a, self.options_b
+        topics = (self.a, self.b) if self.bags else ()
         stats = []
-        for path in map(Path, self.bags or (self.a, self.b)):
+        for path in map(Path, (*(self.bags or (self.a, self.b)),
+                               *(item.times for item in options if item.times))):
             files = sorted(path.iterdir()) if path.is_dir() else [path]
-            stats += [(str(item), item.stat().st_size, item.stat().st_mtime_ns)
+            stats += [(item.name, item.stat().st_size, item.stat().st_mtime_ns)
                       for item in files if item.exists()]
-        said = json.dumps([asdict(self), stats, __version__], default=str, sort_keys=True)
+        said = json.dumps([
+            topics, asdict(self.config), *(asdict(replace(item, times=None)) for item in options),
+            stats, __version__], sort_keys=True)
         return hashlib.sha256(said.encode()).hexdigest()[:8]
 
     @property
@@ -200,6 +208,12 @@ def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
         return None, kind + ' '.join(str(error).split())
 
 
+def results_of_others(folder: Path, jobs: Sequence[Job]) -> list[Path]:
+    """Return the results in a folder that other jobs, settings, inputs or versions left there."""
+    own = {job.file_name for job in jobs}
+    return sorted(path for path in folder.glob(f'*-{"[0-9a-f]" * 8}.yaml') if path.name not in own)
+
+
 def run_jobs(
     jobs: Sequence[Job], folder: Path, executor: Executor,
     progress: Callable[[int, int], None] | None = None,
@@ -207,9 +221,11 @@ def run_jobs(
     """Calibrate what has no result in the folder yet; yield every job as it is done.
 
     Each result is a file ``Job.file_name``, written as soon as it is there. Jobs without an answer
-    are tried again the next time. Raises ResultError where the folder cannot be written.
+    are tried again the next time; ``results_of_others`` are gone at the end. Raises ResultError
+    where the folder cannot be written.
     """
     make_folder(folder, ResultError)
+    others = results_of_others(folder, jobs)
     saved = [Entry(job.name, _saved(folder / job.file_name)) for job in jobs]
     waiting = [job for job, entry in zip(jobs, saved, strict=True) if entry.result is None]
     entries = chain((entry for entry in saved if entry.result is not None),
@@ -218,6 +234,8 @@ def run_jobs(
         if progress is not None:
             progress(done, len(jobs))
         yield entry
+    for path in others:
+        path.unlink(missing_ok=True)
 
 
 def _saved(path: Path) -> CalibrationResult | None:
@@ -234,10 +252,5 @@ def _calibrated(jobs: Sequence[Job], folder: Path, executor: Executor) -> Iterat
         if data is None:
             yield Entry(name, None, reason)
             continue
-        own = folder / jobs[k].file_name
-        write_yaml(own, data)
-        # Of the same job with other settings or inputs: gone when its successor is there.
-        for path in folder.glob(f'{name}-{"[0-9a-f]" * 8}.yaml'):
-            if path != own:
-                path.unlink(missing_ok=True)
+        write_yaml(folder / jobs[k].file_name, data)
         yield Entry(name, CalibrationResult.from_dict(data))

@@ -84,11 +84,10 @@ class RigComparison:
         if self.same_recording:
             return ('cannot tell: both rigs are of one recording, and share its errors; compare '
                     'rigs of different drives')
-        verdict = ('the rig holds' if self.holds else
-                   '; '.join(str(change) for change in self.changes))
-        missing = f'; not compared: {", ".join(self.missing)}' if self.missing else ''
-        return (f'{verdict} (chi-squared '
-                f'{self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.2g}){missing}')
+        verdict = '; '.join(map(str, self.changes)) or (
+            f'the rig holds (chi-squared {self.chi_squared:.1f} of {self.degrees}, '
+            f'p = {self.p_value:.2g})')
+        return verdict + (f'; not compared: {", ".join(self.missing)}' if self.missing else '')
 
 
 def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
