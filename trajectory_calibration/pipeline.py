@@ -13,7 +13,7 @@ from trajectory_calibration.assessment.covariance import estimate_uncertainty
 from trajectory_calibration.assessment.input_checks import (
     check_orientations,
     check_pairs,
-    parted_steps,
+    orientation_jumps,
     require_fit,
     short_drive,
 )
@@ -139,7 +139,7 @@ def calibrate(
                 *unit_doubts(solution.scale, trajectory_a.sensor_frame),
                 *short_drive(pairs, metrics),
                 *answer_doubts,
-                *(parted_steps(pairs) if solution.diagnosis is None else ()),
+                *(orientation_jumps(pairs) if solution.diagnosis is None else ()),
                 *solution.findings,
                 *contradictions(solution.T_a_b, uncertainty.covariance, config.prior),
                 *uncertainty.findings,

@@ -17,7 +17,7 @@ from trajectory_calibration import (
 )
 from trajectory_calibration.assessment.input_checks import (
     check_pairs,
-    parted_steps,
+    orientation_jumps,
     require_fit,
 )
 from trajectory_calibration.geometry import se3
@@ -166,9 +166,9 @@ def begun_anew(run, gap_s=600.0):
 def test_a_slam_that_began_anew_is_said():
     run = simulate(DRIVE, 0)
     pairs = associate(*begun_anew(run))
-    (warning,) = parted_steps(pairs)
+    (warning,) = orientation_jumps(pairs)
     assert warning.text.startswith('1 orientation jump (')
-    assert parted_steps(associate(run.a, run.b)) == ()
+    assert orientation_jumps(associate(run.a, run.b)) == ()
     a, b = begun_anew(run)
     assert warning in calibrate(a, b, CalibrationConfig(solver='dnl', reference='B5')).findings
     found = calibrate(a, b)
@@ -183,7 +183,7 @@ def test_no_step_of_one_vehicle_parts(name, seeds):
     scenario = replace(SCENARIOS[name], duration=min(SCENARIOS[name].duration, 30.0))
     for seed in range(seeds):
         run = simulate(scenario, seed)
-        assert parted_steps(associate(run.a, run.b)) == ()
+        assert orientation_jumps(associate(run.a, run.b)) == ()
 
 
 def test_one_sensor_given_twice_is_said():

@@ -1,17 +1,17 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How far an extrinsic may be from the truth: one noise model for the answers of all solvers.
+"""The covariance of an extrinsic: one noise model for the answers of all solvers.
 
-Motions share poses, drift, lag and jump: a covariance from the residuals of a solver is wrong by
-factors. One solver identifies the noise in the data (``solvers.noise_identifier``) and gives all
-that they say of the extrinsic, a mean ``x`` and a covariance ``P``. Another solver's answer
-``x_n`` has then, by what is known, the mean squared error
+Motions share poses, and their errors drift and jump: a covariance from the residuals of a solver
+is wrong by factors. One solver identifies the noise (``solvers.noise_identifier``) and gives the
+posterior of the extrinsic, a mean ``x`` and a covariance ``P``. The answer ``x_n`` of another
+solver then has the mean squared error
 
-    E (x_n - truth)(x_n - truth)^T = P + (x_n - x)(x_n - x)^T,
+    E (x_n - truth)(x_n - truth)^T = P + (x_n - x)(x_n - x)^T.
 
-which counts what the noise happened to be in these data, and what the equations of that solver do
-not know of: jumps, a scale, a steady drift. Directions that its equations leave unobserved are so
-in its answer, whatever another solver knows (``excitation``).
+It includes the effect of the actual noise, and of errors that the equations of that solver do not
+model: jumps, a scale, a systematic drift. Directions that its equations do not determine are
+unobservable in its answer, whatever the other solver knows (``excitation``).
 
 J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
 expected loss).
@@ -35,23 +35,23 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import noise_identifier
 from trajectory_calibration.solvers.solution import Diagnosis, Linearise, Solution, UNOBSERVED_STD
 
-# Poses that are enough to identify noise.
+# Number of poses that is enough to identify the noise.
 _ENOUGH = 10_000
 
-# What the identifier corrects, by the code of its finding, and the paper's solvers cannot.
+# Errors that the noise identifier corrects and the paper's solvers cannot, by finding code.
 _TERMS = {'scale': 'a difference in scale', 'scale-unit': 'another unit of length',
           'systematic-drift': 'a steady drift', 'clock-offset': 'a clock offset'}
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How far the answer may be from the truth, and why.
+    """The uncertainty of an answer.
 
     Attributes
     ----------
-    covariance : (6, 6), about zero error, order and side as in ``CalibrationResult``.
-    unobserved : (K, 6) directions (dt, dtheta) in which the motion says nothing.
-    findings : what a person should know of it.
+    covariance : (6, 6), order and side as in ``CalibrationResult``.
+    unobserved : (K, 6) unobservable directions (dt, dtheta).
+    findings : on the uncertainty.
 
     """
 
@@ -62,7 +62,7 @@ class Uncertainty:
 
 @dataclass(frozen=True, eq=False)
 class MostLikely:
-    """What the data say of the extrinsic: mean (4, 4), its covariance (6, 6), and of the noise."""
+    """Posterior of the extrinsic: mean (4, 4), covariance (6, 6), and the noise identified."""
 
     T_a_b: FloatArray
     covariance: FloatArray
@@ -71,7 +71,7 @@ class MostLikely:
 
 
 def most_likely(pairs: PosePairs, config: CalibrationConfig) -> MostLikely:
-    """Return what the data say of the extrinsic, by the solver that identifies the noise.
+    """Return the posterior of the extrinsic from the solver that identifies the noise.
 
     Raises MotionError and SolverError as that solver: too few poses, no motion.
     """
@@ -87,21 +87,20 @@ def estimate_uncertainty(
     config: CalibrationConfig | None = None,
     known: MostLikely | None = None,
 ) -> Uncertainty:
-    """Return the uncertainty of a solution that was found from motions.
+    """Return the uncertainty of a solution from motions.
 
-    ``config`` holds the settings of the solver that identifies the noise, ``known`` what that
-    says, where it was asked before. Raises SolverError for a solution with neither a covariance
-    nor equations.
+    ``config`` has the settings of the noise identifier, ``known`` is its answer if it has already
+    run. Raises SolverError for a solution with neither a covariance nor equations.
     """
     if solution.covariance is not None:
-        # A solver that takes the motion for what it is trusts the noise in it as well.
+        # The solver's own covariance counts rotation noise as excitation.
         unobserved = split_pairs(solution.T_a_b, motions.pairs.scaled(solution.scale)).unobserved
         return Uncertainty(_bounded(solution.covariance, unobserved), unobserved)
     if solution.linearise is None:
         raise SolverError('the solver gave neither a covariance nor the equations it solved')
     config = config or CalibrationConfig()
     if known is None:
-        # Too few poses, for instance: the residuals then have to do.
+        # Too few poses, for instance: the residuals are used instead.
         with suppress(MotionError, SolverError):
             known = most_likely(motions.pairs, config)
     excited = split_equations(solution.T_a_b, motions, solution.linearise, solution.inliers)
@@ -115,7 +114,7 @@ def estimate_uncertainty(
 
 
 def _uncorrected(known: MostLikely, solver: str) -> tuple[Finding, ...]:
-    """Return a finding where the data hold what the solver cannot correct."""
+    """Return a finding if the data have errors that the solver cannot correct."""
     found = [finding for finding in known.findings if finding.code in _TERMS]
     if not found:
         return ()
@@ -129,9 +128,9 @@ def _uncorrected(known: MostLikely, solver: str) -> tuple[Finding, ...]:
 def _from_residuals(
     T_a_b: FloatArray, motions: MotionPairs, linearise: Linearise, basis: FloatArray,
 ) -> FloatArray:
-    """Return a (6, 6) covariance on the span of a (6, K) basis, motions taken as independent.
+    """Return a (6, 6) covariance on the span of a (6, K) basis, for independent motions.
 
-    The sandwich estimate, with as many degrees of freedom less as were fitted.
+    The sandwich estimate, corrected for the degrees of freedom.
     """
     motions = motions.thinned(_ENOUGH)
     found = linearise(T_a_b, motions.A, T_a_b @ motions.B @ se3.inverse(T_a_b))
@@ -146,10 +145,9 @@ def _from_residuals(
 
 
 def _bounded(covariance: FloatArray, unobserved: FloatArray) -> FloatArray:
-    """Return a (6, 6) covariance with (K, 6) unobserved directions, bounded by their deviations.
+    """Return a (6, 6) covariance with (K, 6) unobservable directions, bounded.
 
-    Rounding may leave a negative variance; one beyond ``UNOBSERVED_STD`` adds up from all
-    that call a direction unobserved.
+    Rounding may make a variance negative, several such directions may exceed ``UNOBSERVED_STD``.
     """
     unit = np.outer(UNOBSERVED_STD, UNOBSERVED_STD)
     total = covariance + unobserved.T @ unobserved

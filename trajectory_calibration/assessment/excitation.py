@@ -1,12 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which directions of an extrinsic the motion excited, and which only noise pretends to.
+"""Which directions of an extrinsic the motion excited, as opposed to rotation noise.
 
-Noise in the rotations passes for motion: on flat ground the pitch and roll that a sensor reports
-are noise, a sum of squares counts them as excitation, and the height between the sensors comes
-out wrong with a small standard deviation. The product of what a saw with what b saw is free of
-that: their noises are independent, so that noise alone gives zero on average. A direction in
-which the product does not stand out of its own noise is not observed.
+Rotation noise looks like excitation: on flat ground the measured pitch and roll are noise, a sum
+of squares counts them, and the height between the sensors is wrong with a small standard
+deviation. The product of the regressors of a and of b has no such bias, because their noise is
+independent. A direction is unobservable if this product is not significant.
 
 W. A. Fuller, "Measurement Error Models", 1987, section 1.4 (a second measurement as instrument).
 """
@@ -30,35 +29,34 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Linearise, UNOBSERVED_STD
 
-# Blocks of correlated motions: this many lags of the reference, at most a fifth of the data.
+# Length of a block of correlated motions: lags of the reference, and at most a share of all.
 _BLOCK_LAGS = 3
 _BLOCK_SHARE = 0.2
 
-# Relative to the largest eigenvalue of a sum of squares: nothing but rounding.
+# Rounding, relative to the largest eigenvalue of a sum of squares.
 _UNSEEN = 1e-12
 
-# Directions with less than this share of true excitation are tested against noise.
+# Directions with a smaller share of common excitation are tested against noise.
 _SUSPECT_SHARE = 0.5
 
-# Excitation counts when it exceeds this many standard deviations of what noise alone would give:
-# a tenth of a false alarm, because noise that passes for motion makes a wrong answer look sure.
+# Excitation is significant beyond this many standard deviations of noise: a tenth of the
+# false-alarm probability, because rotation noise makes a wrong answer look certain.
 _SIGNIFICANT = float(np.sqrt(chi_squared.quantile(1, 0.1 * chi_squared.FALSE_ALARM)))
 
-# A disagreement of this many usual ones is a glitch.
+# A residual beyond this many medians is an outlier.
 _GLITCH = 20.0
 
-# Lags, seconds, at which the motion of a solver without a reference is judged, and motions that
-# suffice.
+# Lags, seconds, for solvers without a reference, and the number of motions that is enough.
 _LAGS = (0.5, 2.0, 8.0)
 _MOTIONS = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class Excited:
-    """The space of (dt, dtheta), split by what the motion says.
+    """The space of (dt, dtheta), split into excited and unobservable directions.
 
-    ``basis`` (6, 6 - K) has columns that span the excited directions, ``unobserved`` (K, 6) are
-    the others, each as long as ``UNOBSERVED_STD``.
+    ``basis`` (6, 6 - K) has columns that span the excited directions. ``unobserved`` (K, 6) are
+    the others, scaled to the standard deviations ``UNOBSERVED_STD``.
     """
 
     basis: FloatArray
@@ -66,7 +64,7 @@ class Excited:
 
 
 def block_length(motions: MotionPairs) -> int:
-    """Return the number of consecutive motions that are taken to be correlated."""
+    """Return the number of consecutive motions that are treated as correlated."""
     count = len(motions)
     end = motions.j[0] + _BLOCK_LAGS * parse_reference(motions.reference)[1]
     lags = int(np.searchsorted(motions.j, end))
@@ -76,10 +74,10 @@ def block_length(motions: MotionPairs) -> int:
 def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -> Excited:
     """Split the directions by their excitation.
 
-    In the basis that makes what each sensor saw the identity, what both saw has eigenvalues
-    near one where they saw the same turns, and near zero where each saw its own noise. ``shared``
-    and ``own`` (6, 6) are sums of what a saw times what b saw, and of what each saw times itself,
-    the mean of both; ``apart`` (M, 6, 6) is what a saw minus what b saw.
+    ``shared`` (6, 6) is the product of the regressors of a and of b, ``own`` (6, 6) the mean of
+    the products of each with itself, ``apart`` (M, 6, 6) the difference of both regressors. In the
+    basis in which ``own`` is the identity, the eigenvalues of ``shared`` are near one for common
+    motion and near zero for noise.
     """
     largest = np.diagonal(own).reshape(2, 3).max(axis=1)
     scale = np.repeat(np.sqrt(np.maximum(largest, np.finfo(float).tiny)), 3)
@@ -99,18 +97,18 @@ def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -
 
 
 def scaled_to_unobserved(directions: FloatArray) -> FloatArray:
-    """Return (K, 6) directions, each as long as ``UNOBSERVED_STD``."""
-    # What they span is unobserved, not each by itself: lengthened one by one until its translation
-    # is, a rotation that comes along with it would pass for known.
+    """Return (K, 6) directions scaled to the standard deviations ``UNOBSERVED_STD``."""
+    # The whole span is unobservable. Scaling each direction separately until its translation is
+    # unknown would leave a rotation that belongs to it too certain.
     _, _, basis = np.linalg.svd(directions / UNOBSERVED_STD, full_matrices=False)
     scaled: FloatArray = basis * UNOBSERVED_STD
     return scaled
 
 
 def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
-    """Split the directions by the motion itself, for solvers that use no relative motions.
+    """Split the directions by the motion itself, for solvers without relative motions.
 
-    Over several lags, and by the one that shows most: noise hides short motions.
+    The lag with the most excited directions counts: at short lags noise hides the motion.
     """
     found = []
     for lag in lag_grid(pairs.stamps_ns, _LAGS):
@@ -120,9 +118,9 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
 
 
 def _plausible(T_a_b: FloatArray, motions: MotionPairs) -> MotionPairs:
-    """Leave out motions in which the sensors part by far more than in most: a glitch of one.
+    """Exclude motions with outlying residuals.
 
-    A single position kilometres away would pass for noise that hides all excitation.
+    A single position kilometres away would count as noise that hides all excitation.
     """
     parted = np.linalg.norm(
         (motions.A @ T_a_b)[:, :3, 3] - (T_a_b @ motions.B)[:, :3, 3], axis=1)
@@ -134,7 +132,7 @@ def split_equations(
     T_a_b: FloatArray, motions: MotionPairs, linearise: Linearise,
     inliers: NDArray[np.bool_] | None = None,
 ) -> Excited:
-    """Split the directions by the equations of a solver and the motions it kept."""
+    """Split the directions by the equations of a solver and the inliers it used."""
     if inliers is not None:
         motions = motions.picked(inliers)
     motions = motions.thinned(_MOTIONS)
@@ -145,17 +143,17 @@ def split_equations(
     own = 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
     cross = 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
     excited = _split(0.5 * (shared + shared.T), own, Z_a - Z_b, block_length(motions))
-    # What is found after an unobserved direction goes wrong with it.
+    # An error along an unobservable direction also changes the excited ones.
     basis, unobserved = excited.basis, excited.unobserved
     inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
     return Excited(basis, scaled_to_unobserved(unobserved - unobserved @ (inverse @ cross).T))
 
 
 def _excitation_by_noise(rows: FloatArray, block: int) -> FloatArray:
-    """Return (K,) standard deviations of the shared excitation if both saw only noise.
+    """Return the (K,) standard deviations of the shared excitation if there is only noise.
 
-    The difference of what a and b saw, (M, 6, K), holds the noise of both; half of its
-    autocovariance is taken for either.
+    ``rows`` (M, 6, K), the difference of both regressors, has the noise of both. Half of its
+    autocovariance is that of each.
     """
     count = len(rows)
     variance = np.zeros(rows.shape[2])

@@ -1,11 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether two trajectories are those of one vehicle, before a solver makes something of them.
+"""Checks before the solver: both trajectories are of one vehicle, and are read correctly.
 
-A solver finds the best extrinsic for any two trajectories: also for those of two vehicles, for
-poses that were inverted, for quaternions in another order; and its residuals then pass for noise.
-What is looked at here is judged by how much the two turned and moved, and by what independent
-errors leave between them, never by fixed angles.
+A solver returns an extrinsic for any two trajectories: also for those of two vehicles, for
+inverted poses, for quaternions in another order. Its residuals then look like noise. The limits
+here are relative to the motion and to what independent errors explain, not fixed angles.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from trajectory_calibration.assessment.rigid_fit import (
     NOT_BY_NOISE,
     Read,
     RigidFit,
-    turn_share,
+    rotation_share,
 )
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
@@ -44,44 +43,45 @@ from trajectory_calibration.solvers import solver_info, solvers_that_estimate
 from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import Clock
 
-# Another reading of the numbers is the explanation where it leaves this share of the misfit.
+# Another reading of the poses is the explanation if it reduces the misfit to this share.
 _MUCH_LESS = 0.2
-# With less than this share of the misfit of two bodies, no other reading is looked for. With more
-# it may be one: a vehicle that hardly rolls and pitches looks much the same in all of them.
+# Other readings are tried only above this misfit. It is low, because a vehicle that hardly rolls
+# and pitches looks similar in all readings.
 _LITTLE_LEFT = 0.2
 
-# Radians that a vehicle that stands still turns by its errors.
-_STANDS = np.deg2rad(1.0)
+# Rotations (radians) that pose errors of a stationary vehicle may reach.
+_STATIONARY = np.deg2rad(1.0)
 
-# Beyond these shares of the turns and of the way, over every lag, the two have nothing in common.
-_NO_TURN_SHARED, _NO_WAY_SHARED = 0.5, 0.2
-# Turns that agree, and this share of the way that does not, over every lag: other positions.
-_OTHER_WAY = 0.5
+# Two trajectories have no common motion if the residuals exceed these shares at every lag.
+_NO_COMMON_MOTION = 0.5, 0.2
+# The positions do not fit if the translation residuals exceed this share at every lag.
+_OTHER_TRANSLATION = 0.5
 
-# Seconds below which deviations were measured to be too small (docs/uncertainty.md), and fit
-# residuals, metres or radians, that are rounding.
+# Seconds below which standard deviations were measured to be too small (docs/uncertainty.md), and
+# fit residuals (metres or radians) that are rounding.
 _SHORT_S = 20.0
 _ROUNDING = 1e-6
 
-# How much farther things move as read than inverted, in the mean of both and in each.
+# Ratio of the motion as read to the inverted one: mean of both trajectories, and each of them.
 _INVERTED, _INVERTED_EACH = 1.15, 1.1
 
-# Seconds of clock offset that are asked about where the offset is not steady along the drive: by
-# so many seconds, and so many times (squared) its errors; the larger ones are no clock's.
+# Clock offsets beyond this many seconds must be steady along the drive.
 _LARGE_OFFSET = 0.5
-# The largest one that is looked for where the two do not turn together.
+# The largest clock offset, seconds, that is tried if the two do not rotate together.
 _FAR_OFFSET = 60.0
+# Scatter (seconds) and chi-squared of the offset from which it is an error, and a finding.
 _UNSTEADY = ((0.025, 6.0), (0.010, 3.0))
 
-# Radians, and times the usual, that two sensors turn apart in a step only where one has jumped.
-_PARTED, _PARTED_USUAL = np.deg2rad(10.0), 20.0
+# A difference of the rotations in one step is a jump beyond this angle (radians) and this many
+# medians.
+_JUMP, _JUMP_MEDIANS = np.deg2rad(10.0), 20.0
 
-# Share by which the rotation of a solver may fit worse than the best one.
+# The rotation share of a solver may exceed that of the best fit by this much.
 _WORSE_FIT = 0.1
 
 
 def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> None:
-    """Raise MotionError where one of them has no orientation of its own."""
+    """Raise MotionError if one of them has no measured orientation."""
     if config.input_checks:
         require_orientation(a)
         require_orientation(b)
@@ -90,9 +90,9 @@ def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
 def check_pairs(
     pairs: PosePairs, a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
 ) -> tuple[Finding, ...]:
-    """Raise MotionError where the two cannot be sensors of one vehicle; return what is doubtful.
+    """Raise MotionError if the two cannot be sensors of one vehicle; return findings.
 
-    ``pairs`` are of the trajectories a and b, by ``clock`` and ``config``.
+    ``pairs`` are the pose pairs of a and b for ``clock`` and ``config``.
     """
     if not config.input_checks:
         return ()
@@ -113,31 +113,30 @@ def check_pairs(
 
 
 def require_fit(T_a_b: FloatArray, pairs: PosePairs, frames: tuple[str, str], solver: str) -> None:
-    """Raise MotionError where the rotation of a solver does not fit turns that agree.
+    """Raise MotionError if the rotation of a solver does not fit rotations that agree.
 
-    A method that weighs rotation and translation together gives up the rotation where the
-    lengths of one sensor are far from those of the other.
+    A method that weighs rotation and translation together may sacrifice the rotation if the two
+    trajectories have different scales.
     """
     best = best_fit(pairs)
     if best is None or not best.one_body:
         return
-    share = turn_share(pairs, best.lag, T_a_b[:3, :3])
-    if share <= best.turn_share + _WORSE_FIT:
+    share = rotation_share(pairs, best.lag, T_a_b[:3, :3])
+    if share <= best.rotation_share + _WORSE_FIT:
         return
     scale = 'give it (scale)'
     if 'scale' not in solver_info(solver).estimates:
         scale += f', or use solver {" or ".join(solvers_that_estimate("scale"))}, which finds it'
     raise MotionError(
         f'the rotation that {solver} found does not fit: half of the rotations differ by '
-        f'{share:.0%}, at best by {best.turn_share:.1%}: {frames[0]} and {frames[1]} did turn '
+        f'{share:.0%}, at best by {best.rotation_share:.1%}: {frames[0]} and {frames[1]} did turn '
         f'together. Check the unit and scale of both; {scale}')
 
 
 def short_drive(pairs: PosePairs, metrics: RelativeErrors) -> tuple[Finding, ...]:
-    """Return a warning where a drive is too short for errors that a SLAM makes over seconds.
+    """Return a warning if the drive is too short to separate SLAM errors from motion.
 
-    They look like motion then, and the standard deviations do not hold them. ``metrics`` tell
-    whether there are errors at all.
+    The standard deviations are then too small. ``metrics`` tell whether there are errors at all.
     """
     span_s = float(pairs.stamps_ns[-1] - pairs.stamps_ns[0]) * 1e-9
     if span_s >= _SHORT_S or max(metrics.e_rt, metrics.e_rR) < _ROUNDING:
@@ -148,42 +147,43 @@ def short_drive(pairs: PosePairs, metrics: RelativeErrors) -> tuple[Finding, ...
         {'duration_s': span_s}),)
 
 
-def parted_steps(pairs: PosePairs) -> tuple[Finding, ...]:
-    """Return a warning where the sensors turned apart within a single step.
+def orientation_jumps(pairs: PosePairs) -> tuple[Finding, ...]:
+    """Return a warning if the rotation angles of both sensors differ strongly in single steps.
 
-    A SLAM that began anew, between two bags for instance, has another world: motions across it
-    are none. How far each turned tells it whatever the extrinsic. For solvers that do not find
-    such steps themselves.
+    A SLAM that restarts, for instance between two bags, has a new world frame, so motions across
+    the restart are invalid. The rotation angle does not depend on the extrinsic. For solvers that
+    do not find jumps themselves.
     """
     angle_a, angle_b = (
         se3.rotation_angle(np.swapaxes(R[:-1], 1, 2) @ R[1:])
         for R in (pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]))
-    apart = np.abs(angle_a - angle_b)
-    found = np.flatnonzero(apart > max(_PARTED, _PARTED_USUAL * float(np.median(apart))))
+    difference = np.abs(angle_a - angle_b)
+    found = np.flatnonzero(
+        difference > max(_JUMP, _JUMP_MEDIANS * float(np.median(difference))))
     if not len(found):
         return ()
-    k = int(found[apart[found].argmax()])
+    k = int(found[difference[found].argmax()])
     since_s = (pairs.stamps_ns[k] - pairs.stamps_ns[0]) * 1e-9
     return (Finding(
         'orientation-jumps', f'{counted(len(found), "orientation jump")} (largest '
-        f'{rounded(np.rad2deg(apart[k]))} deg at {since_s:.1f} s): SLAM restart or loop closure? '
-        'Use drift_aware, which excludes them, or calibrate the parts separately',
-        {'steps': len(found), 'largest_deg': float(np.rad2deg(apart[k]))}),)
+        f'{rounded(np.rad2deg(difference[k]))} deg at {since_s:.1f} s): SLAM restart or loop '
+        'closure? Use drift_aware, which excludes them, or calibrate the parts separately',
+        {'steps': len(found), 'largest_deg': float(np.rad2deg(difference[k]))}),)
 
 
 def _are_inverted(pairs: PosePairs, a: Trajectory, b: Trajectory) -> bool:
-    """Tell whether both hold poses of the world in the sensor.
+    """Return whether both hold inverted poses (of the world in the sensor).
 
-    The equations are as true of those, and the answer is then the pose of one world in another.
+    These satisfy the equations as well; the answer is then the pose of one world in the other.
     """
     steps = [least_steps(trajectory) for trajectory in (a, b)]
     if not all(step > _INVERTED_EACH * inverted for step, inverted in steps):
         return False
     fit = best_fit(pairs, se3.inverse, se3.inverse)
     both_as_read, both_inverted = np.prod(steps, axis=0)
-    # Errors of the poses are no motion.
+    # Pose errors are no motion.
     return bool(both_as_read > _INVERTED**2 * both_inverted and fit is not None
-                and np.min(steps) > fit.way_apart)
+                and np.min(steps) > fit.translation_residual)
 
 
 def _mirrored(poses: FloatArray) -> FloatArray:
@@ -191,13 +191,14 @@ def _mirrored(poses: FloatArray) -> FloatArray:
 
 
 def _refuse_mirrored(found: RigidFit, pairs: PosePairs, frames: str) -> None:
-    """Raise MotionError where a mirrored world explains what is left."""
+    """Raise MotionError if a mirrored world explains the misfit."""
     fit = best_fit(pairs, read_b=_mirrored, seconds=(found.lag_s,))
     if fit is not None and fit.one_body and fit.misfit < _MUCH_LESS * found.misfit:
         raise MotionError(
-            f'one of {frames} is in a left-handed frame: mirrored, {fit.turn_share:.1%} of '
-            f'the rotations and {fit.way_share:.1%} of the translations differ, as read '
-            f'{found.turn_share:.1%} and {found.way_share:.1%}. Export it right-handed')
+            f'one of {frames} is in a left-handed frame: mirrored, {fit.rotation_share:.1%} of '
+            f'the rotations and {fit.translation_share:.1%} of the translations differ, as read '
+            f'{found.rotation_share:.1%} and {found.translation_share:.1%}. Export it '
+            'right-handed')
 
 
 def _reordered(shift: int) -> Read:
@@ -211,7 +212,7 @@ def _conjugated(poses: FloatArray) -> FloatArray:
     return se3.from_rotation_translation(np.swapaxes(poses[:, :3, :3], 1, 2), poses[:, :3, 3])
 
 
-# What was written, the option that reads it, and the poses as they were meant.
+# What the file holds, the option that reads it, and the conversion to the intended poses.
 _ROTATIONS: tuple[tuple[str, str, Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
@@ -224,7 +225,7 @@ _INVERSE = 'inverted poses (of the world in the sensor)', '--invert{}', se3.inve
 def _refuse_other_reading(
     found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> None:
-    """Raise MotionError where another reading of the numbers makes the two those of one body."""
+    """Raise MotionError if the two are one body with another reading of the poses."""
     candidates = [item for item in _other_readings(found, pairs, a, b, config)
                   if item[0].one_body and item[0].misfit < _MUCH_LESS * found.misfit]
     if not candidates:
@@ -232,18 +233,19 @@ def _refuse_other_reading(
     best, what, option = min(candidates, key=lambda item: item[0].misfit)
     raise MotionError(
         f'{a.sensor_frame} and {b.sensor_frame} do not fit as read: {what}? Read so, their '
-        f'translations differ by {best.way_share:.1%} and their rotations by '
-        f'{best.turn_share:.1%}, instead of {found.way_share:.0%} and {found.turn_share:.0%}. '
+        f'translations differ by {best.translation_share:.1%} and their rotations by '
+        f'{best.rotation_share:.1%}, instead of {found.translation_share:.0%} and '
+        f'{found.rotation_share:.0%}. '
         f'Use {option}')
 
 
 def _other_readings(
     found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> Iterator[tuple[RigidFit, str, str]]:
-    """Yield how well other readings fit, what they are, and the options for them.
+    """Yield the fit of other readings, a description, and the option for each.
 
-    Of two that are not one body as they are read, the clocks are not known either: where one is
-    read otherwise they are matched anew. Of one body they are.
+    If the two are not one body as read, their clock offset is unknown too, and they are matched
+    again if only one of them is read differently.
     """
     def fit_of(read_a: Read, read_b: Read) -> RigidFit | None:
         if found.one_body:
@@ -271,7 +273,7 @@ def _other_readings(
     if len(inverted) == 2 and told[0] != told[1]:
         yield inverted[told.index(True)]
     elif inverted:
-        # Its own motion tells of neither.
+        # The motion does not tell which of them.
         yield (min((item[0] for item in inverted), key=lambda fit: fit.misfit),
                'does one of them hold inverted poses (of the world in the sensor)',
                '--invert-a or --invert-b, whichever it is')
@@ -285,43 +287,44 @@ def _moves_less_inverted(trajectory: Trajectory) -> bool:
 def _refuse_two_bodies(
     pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> None:
-    """Raise MotionError where independent errors do not explain what the two do apart."""
+    """Raise MotionError if independent errors do not explain the residuals."""
     found = list(fits(pairs))
     frames = f'{a.sensor_frame} and {b.sensor_frame}'
-    if growth(found, 'turn') > NOT_BY_NOISE or all(
-            item.turn_share >= _NO_TURN_SHARED and item.way_share >= _NO_WAY_SHARED
-            for item in found):
-        turned = max(found, key=lambda item: item.turn_apart)
+    if growth(found, 'rotation') > NOT_BY_NOISE or all(
+            item.rotation_share >= _NO_COMMON_MOTION[0]
+            and item.translation_share >= _NO_COMMON_MOTION[1] for item in found):
+        worst = max(found, key=lambda item: item.rotation_residual)
         raise MotionError(
-            f'{frames} did not turn together: over {turned.lag_s:g} s they turn by '
-            f'{rounded(np.rad2deg(turned.turn))} deg, and differ by '
-            f'{rounded(np.rad2deg(turned.turn_apart))} deg. '
-            f'{_advice_on_turns(turned, pairs, a, b, config)}')
-    moved = growth(found, 'way')
-    if moved > NOT_BY_NOISE and min(item.way_share for item in found) > _OTHER_WAY:
-        apart = max(found, key=lambda item: item.way_apart)
+            f'{frames} did not turn together: over {worst.lag_s:g} s they turn by '
+            f'{rounded(np.rad2deg(worst.rotation))} deg, and differ by '
+            f'{rounded(np.rad2deg(worst.rotation_residual))} deg. '
+            f'{_advice_on_rotations(worst, pairs, a, b, config)}')
+    factor = growth(found, 'translation')
+    if factor > NOT_BY_NOISE and min(
+            item.translation_share for item in found) > _OTHER_TRANSLATION:
+        worst = max(found, key=lambda item: item.translation_residual)
         raise MotionError(
             f'{frames} turned together, but their positions do not fit one vehicle: over '
-            f'{apart.lag_s:g} s they differ by {rounded(apart.way_apart)} m, {moved:.1f} times '
-            'what noise explains. Check axes and units of both, or use --no-input-checks')
+            f'{worst.lag_s:g} s they differ by {rounded(worst.translation_residual)} m, '
+            f'{factor:.1f} times what noise explains. Check axes and units of both, or use '
+            '--no-input-checks')
 
 
-def _advice_on_turns(
+def _advice_on_rotations(
     found: RigidFit, pairs: PosePairs, a: Trajectory, b: Trajectory, config: CalibrationConfig,
 ) -> str:
-    """Return what to do about two that did not turn together.
+    """Return what to do if the two did not rotate together.
 
-    Clocks may be apart by more than was searched: GPS time and UTC by 18 s, recorders that were
-    started one after the other by as much as their users.
+    The clock offset may exceed the searched range: GPS time and UTC differ by 18 s.
     """
-    if found.turn < _STANDS:
+    if found.rotation < _STATIONARY:
         return 'Does the vehicle stand still? Record while it turns and moves'
     motions = select_motions(pairs, f'B{found.lag}')
     for sensor, poses in ((a, motions.A), (b, motions.B)):
-        if np.median(se3.rotation_angle(poses[:, :3, :3])) < _STANDS:
+        if np.median(se3.rotation_angle(poses[:, :3, :3])) < _STATIONARY:
             return (f'{sensor.sensor_frame} alone does not turn: did its SLAM stop, or does it '
                     'not ride on this vehicle? Check its topic or file')
-    # Turns by themselves may agree where those that fit the ways do not.
+    # The rotations alone may agree.
     for finding in two_worlds(np.eye(4), pairs, (a.sensor_frame, b.sensor_frame)):
         return finding.text[0].upper() + finding.text[1:]
     advice = ('Are both of one drive of one vehicle? Check the topics or files, and the clocks '
@@ -343,7 +346,7 @@ def _advice_on_turns(
 def _steady(
     a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
 ) -> tuple[Finding, ...]:
-    """Ask about a large clock offset that was found and is not steady along the drive."""
+    """Check that a large clock offset is steady along the drive."""
     offset_s = clock.offset_s - config.time_offset
     if abs(offset_s) <= _LARGE_OFFSET:
         return ()

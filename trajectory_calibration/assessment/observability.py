@@ -1,9 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the motion determined of an extrinsic, and what it did not.
+"""Which directions of an extrinsic the motion determined, from its covariance.
 
-The covariance of the answer says it: the standard deviation is large in a direction that is
-unobserved. The limits are settings, the words are for the driver.
+A direction is unobservable if its standard deviation exceeds a limit. The limits are settings.
 """
 
 from __future__ import annotations
@@ -28,37 +27,37 @@ DEGREES_OF_FREEDOM = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
 
 OBSERVED, WEAK, UNOBSERVED, PRIOR = 'observed', 'weak', 'unobserved', 'prior'
 
-# A prior that leaves less than this share of the variance is where the value comes from.
+# A value comes from the prior if the prior reduces its variance below this share.
 _DOMINATED = 0.5
 
-# Within this angle of an axis, its name says more than three numbers.
+# Within this angle of an axis, a direction is called by the name of the axis.
 _NEAR_AXIS = np.cos(np.deg2rad(18.0))
 
-# The motion turned about one axis only where what both sensors turned about any other is less
-# than this share of it, root mean square.
+# The motion is about a single axis if the rotation about any other axis that both sensors measured
+# is below this share of it, root mean square.
 _SINGLE = 0.2
 
-# A rotation that is uncertain by this much about every axis, degrees, is not known at all.
+# A rotation with this standard deviation (degrees) about every axis is not known at all.
 _LOST = 10.0
 
-# What shows a weak direction better.
+# How to improve a weak direction.
 _MORE = {'translation': 'Drive tighter curves, steeper ramps, or longer',
          'rotation': 'Drive more curves, ramps and banks, or longer'}
 
 _UNITS = {'translation': 'm', 'rotation': 'deg'}
 
-# Root mean square rotations below this, degrees, hardly count as turning.
+# Root mean square rotation, degrees, below which the vehicle hardly turned.
 _HARDLY = 0.2
 
 
 @dataclass(frozen=True)
 class WeakAxis:
-    """A direction that the motion determined badly or not at all.
+    """A direction of the extrinsic that is weak or unobservable.
 
     Attributes
     ----------
     kind : 'translation' or 'rotation'.
-    axis : unit vector in a: the shift along it, or the rotation about it.
+    axis : unit vector in a: of the translation along it, or the rotation about it.
     std : standard deviation, metres or degrees.
     status : 'weak' or 'unobserved'.
 
@@ -72,20 +71,20 @@ class WeakAxis:
 
 @dataclass(frozen=True)
 class Observability:
-    """How well the motion excited each direction; axes are those of sensor a.
+    """Observability of each direction of the extrinsic; axes are those of sensor a.
 
     Attributes
     ----------
-    status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' where the
-        value comes from what was known beforehand.
-    weak_axes : the directions behind it: translations, then rotations, each with the largest
-        standard deviation first.
+    status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' if the value
+        comes from the prior.
+    weak_axes : weak and unobservable directions: translations, then rotations, each with the
+        largest standard deviation first.
     excitation_deg : root mean square rotation of a motion about x, y, z of a, degrees.
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
     translation_axes : three unit vectors in a, weakest first.
-    single_axis : unit vector in a, where the motion turned about one axis only; else empty.
-    findings : the weak directions in words.
+    single_axis : unit vector in a, if the motion rotated about one axis only; else empty.
+    findings : on the weak and unobservable directions.
 
     """
 
@@ -99,22 +98,22 @@ class Observability:
 
     @property
     def hardly_turned(self) -> bool:
-        """Return whether no motion turned by more than noise does."""
+        """Return whether the rotations are no larger than noise."""
         return bool(np.linalg.norm(self.excitation_deg) < _HARDLY)
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """Return the degrees of freedom that neither the motion nor a prior determines."""
+        """Return the degrees of freedom that neither motion nor prior determine."""
         return tuple(name for name, status in self.status.items() if status == UNOBSERVED)
 
     @property
     def weak(self) -> tuple[str, ...]:
-        """Return the degrees of freedom that are determined, but badly."""
+        """Return the degrees of freedom that are weak."""
         return tuple(name for name, status in self.status.items() if status == WEAK)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return the sentences of the findings."""
+        """Return the texts of the findings."""
         return texts(self.findings)
 
     def to_dict(self) -> dict[str, Any]:
@@ -133,7 +132,7 @@ class Observability:
     def from_dict(
         cls, data: dict[str, Any], findings: Iterable[Finding] = (),
     ) -> Observability:
-        """Rebuild from ``to_dict`` and the findings, which a result holds with the others."""
+        """Rebuild from ``to_dict`` and the findings, which a result stores separately."""
         return cls(
             {name: str(data['status'][name]) for name in DEGREES_OF_FREEDOM},
             tuple(WeakAxis(str(item['kind']), _floats(item['axis']), float(item['std']),
@@ -156,10 +155,10 @@ def observe(
     config: CalibrationConfig,
     frame: str,
 ) -> Observability:
-    """Say what the motion and the priors determined.
+    """Return the observability of an extrinsic.
 
     ``by_motion`` and ``covariance`` are the (6, 6) covariances of the extrinsic from the motion
-    alone and with the priors; ``frame`` names sensor a in the words.
+    alone and with the prior; ``frame`` is the name of sensor a in the findings.
     """
     R = motions.A[:, :3, :3]
     excitation = np.rad2deg(np.sqrt(np.mean(se3.log_so3(R) ** 2, axis=0)))
@@ -177,12 +176,12 @@ def observe(
 def require_motion_beyond_noise(
     observability: Observability, T_a_b: FloatArray, pairs: PosePairs,
 ) -> None:
-    """Raise MotionError where the pairs hold no motion, as of a vehicle at rest.
+    """Raise MotionError if the pairs contain no motion, as of a stationary vehicle.
 
-    One direction that is known is an answer, of which the rest is flagged. Where a solver knows
-    none, whatever the limits of the user, the motion itself tells whether there was any.
+    One observable direction is an answer; the others are flagged. If there is none, whatever the
+    limits of the user, the motion itself is tested.
     """
-    # Not by axis of the sensor: one blind direction across all of them would hide the others.
+    # By eigenvectors: one unobservable direction oblique to all axes would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
     best = {item.kind: item.std for item in blind}
     if len(blind) < len(DEGREES_OF_FREEDOM) or best['rotation'] < _LOST:
@@ -198,7 +197,7 @@ def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (3,) ascending gains of ``(R_A - I) t`` and the (3, 3) axes as rows.
 
     ``rotations_a`` is (M, 3, 3); the gain is the root mean square over the motions. The weakest
-    axis is also the one that the sensor turned about most.
+    axis is the main rotation axis of the sensor.
     """
     D = rotations_a - np.eye(3)
     eigenvalues, eigenvectors = np.linalg.eigh(
@@ -207,7 +206,7 @@ def translation_gain(rotations_a: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def axis_name(axis: FloatArray) -> str:
-    """Return 'x', 'y' or 'z' for a (3,) unit vector near one of them, else its numbers."""
+    """Return 'x', 'y' or 'z' for a (3,) unit vector near one of them, else its components."""
     largest = int(np.argmax(np.abs(axis)))
     if abs(axis[largest]) > _NEAR_AXIS:
         return 'xyz'[largest]
@@ -215,16 +214,16 @@ def axis_name(axis: FloatArray) -> str:
 
 
 def _single_axis(motions: MotionPairs) -> tuple[float, ...]:
-    """Return the axis in a of all turns but noise, which the two sensors do not share."""
+    """Return the axis in a of all rotations that both sensors measured, if there is only one."""
     turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
     shared = turn_a.T @ turn_b
-    # Turned into the axes of a, the product is symmetric.
+    # In the axes of a the product is symmetric.
     squares, axes = np.linalg.eigh(shared @ se3.nearest_rotation(shared).T)
     return tuple(_pointed(axes.T)[2].tolist()) if squares[1] <= _SINGLE**2 * squares[2] else ()
 
 
 def limits_of(config: CalibrationConfig) -> FloatArray:
-    """Return (6,) standard deviations, m and rad, from which a direction is unobserved."""
+    """Return the (6,) limits, metres and radians, beyond which a direction is unobservable."""
     return np.repeat([max(config.unobserved_translation, 1e-3),
                       max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
 
@@ -234,14 +233,14 @@ def judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
     weak, unobserved = (
         (config.weak_rotation, config.unobserved_rotation) if rotation else
         (config.weak_translation, config.unobserved_translation))
-    # Written so that NaN is not observed.
+    # NaN is unobserved.
     if not std <= unobserved:
         return UNOBSERVED
     return OBSERVED if std <= weak else WEAK
 
 
 def _pointed(axes: FloatArray) -> FloatArray:
-    """Point (3, 3) axes, rows without a direction of their own, along their largest element."""
+    """Choose the signs of (3, 3) axes (rows) so that their largest component is positive."""
     largest = np.take_along_axis(axes, np.abs(axes).argmax(1)[:, None], axis=1)
     pointed: FloatArray = axes * np.sign(largest)
     return pointed
@@ -261,8 +260,8 @@ def _status(
     status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         status[name] = judge(config, after[k], rotation=k >= 3)
-        # A prior of one component helps others through their correlation: those count as known
-        # beforehand only if the motion alone did not observe them.
+        # A prior of one component improves others through their correlation. These come from the
+        # prior only if the motion alone did not determine them.
         doubtful = given[k] or judge(config, before[k], rotation=k >= 3) != OBSERVED
         dominated = after[k]**2 < _DOMINATED * before[k]**2
         if dominated and doubtful and status[name] != UNOBSERVED:
@@ -285,7 +284,7 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
 
 
 def _describe(observed: Observability, frame: str) -> tuple[Finding, ...]:
-    """Return what a driver needs to know: one finding for all directions with one cause."""
+    """Return the findings: one for all directions with the same cause."""
     single = np.array(observed.single_axis or (0.0, 0.0, 0.0))
     causes: dict[tuple[str, str], list[WeakAxis]] = {}
     for item in observed.weak_axes:
@@ -315,7 +314,7 @@ def _describe(observed: Observability, frame: str) -> tuple[Finding, ...]:
 
 
 def _named(items: Sequence[WeakAxis]) -> Iterator[str]:
-    """Yield 'translation along x, y' and 'rotation about z'; without axes where all are meant."""
+    """Yield 'translation along x, y' and 'rotation about z'; without axes for all three."""
     kinds = {item.kind for item in items}
     for kind, how in (('translation', 'along'), ('rotation', 'about')):
         axes = [item.axis for item in items if item.kind == kind]
@@ -329,14 +328,14 @@ def _named(items: Sequence[WeakAxis]) -> Iterator[str]:
 
 
 def _priors(items: Sequence[WeakAxis]) -> str:
-    """Return the options that give what was measured by hand."""
+    """Return the options for a prior of these directions."""
     kinds = {item.kind for item in items}
     if len(kinds) > 1:
         return '--prior-translation, --prior-rotation'
     if kinds == {'rotation'}:
         return '--prior-rotation=ROLL,PITCH,YAW --prior-rotation-std=1'
     axes = [item.axis for item in items]
-    # One number along an axis of the sensor does not fix an oblique direction.
+    # A prior along one axis does not determine an oblique direction.
     meant = range(3) if any(map(_is_oblique, axes)) else np.abs(axes).argmax(axis=1)
     known = ','.join('XYZ'[k] if k in meant else '-' for k in range(3))
     return f'--prior-translation={known} --prior-translation-std=0.01'

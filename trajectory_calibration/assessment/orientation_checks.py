@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a trajectory has an orientation of its own, and holds the poses it claims to hold.
+"""Checks of a single trajectory: a measured orientation, poses that are not inverted.
 
-Receivers of GNSS give positions. What fills in an orientation writes a constant, or the course
-over ground; either passes for a pose, and no solver can tell. Poses that were inverted pass too:
-a motion A X = X B is as true of the inverses. Only how things move tells them apart.
+A GNSS receiver measures positions only. Software may add a constant orientation, or the course
+over ground, and the file then looks like poses. Inverted poses satisfy ``A X = X B`` as well. Only
+the motion itself shows these faults.
 """
 
 from __future__ import annotations
@@ -17,44 +17,43 @@ from trajectory_calibration.errors import MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Radians: what is left of a constant orientation by the digits of a file.
+# Rounding of an orientation in a file, radians.
 _DIGITS = 1e-5
 
-# Course over ground: poses that are looked at, and steps, of the longest ones, that count.
+# Course over ground: poses used; shortest step in terms of the median; fewest steps.
 _COURSE_POSES = 5_000
 _LONG_STEP = 0.3
 _LEAST_STEPS = 20
-# A yaw that was computed from the positions is off the course by this share of its roughness.
+# A yaw computed from the positions deviates from the course by less than this share of its noise.
 _COPIED = 0.02
-# A yaw that is the course has no lever arm (metres) in curves, but for this much and so many
-# standard deviations.
+# The lever arm of a course is zero within this distance (m) and this many standard deviations.
 _NO_LEVER, _SIGMA = 0.05, 3.0
-# Steps to the positions before and after of which the course is taken then.
+# Steps before and after, between which the course is taken for the lever arm.
 _SPAN = (2, 2)
 
-# Nanoseconds over which a body is followed, motions, rounds of reweighting.
-_FOLLOWED_NS = 200_000_000
+# Inverted poses: lag in nanoseconds, number of motions, iterations of reweighting.
+_INVERSION_LAG_NS = 200_000_000
 _MOTIONS = 400
 _ROUNDS = 4
-# Nanoseconds over which a vehicle moves along an axis of its own, and the share of its motion
-# that is along one axis where the quaternions are in that order, and where they are not.
-_AHEAD_NS = 500_000_000
-_AHEAD, _ASKEW = 0.97, 0.85
-# Metres that are rounding.
+# Quaternion order: lag in nanoseconds, and the share of the motion along one body axis from which
+# an order is right, and below which it is wrong.
+_LAG_NS = 500_000_000
+_RIGHT, _WRONG = 0.97, 0.85
+# Rounding, metres.
 _ROUNDING = 1e-12
 # Share of the steps that may be jumps.
 _JUMPS = 0.02
 
 
 def require_orientation(trajectory: Trajectory) -> None:
-    """Raise MotionError where the orientation is constant, or computed from the positions."""
+    """Raise MotionError if the orientation is constant or computed from the positions."""
     name = trajectory.sensor_frame
     way = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
     if not way.any():
         return
-    turned = np.swapaxes(trajectory.rotations[:1], 1, 2) @ trajectory.rotations
-    # The trace tells a turn by t to within t^2 / 2, and rounding of 1e-16 is a turn of 1e-8.
-    if 3.0 - float(np.trace(turned, axis1=1, axis2=2).min()) < _DIGITS**2:
+    rotated = np.swapaxes(trajectory.rotations[:1], 1, 2) @ trajectory.rotations
+    # The trace is 3 - angle^2: rounding of 1e-16 is an angle of 1e-8.
+    if 3.0 - float(np.trace(rotated, axis1=1, axis2=2).min()) < _DIGITS**2:
         raise MotionError(
             f'{name}: the orientation never changes over {rounded(way.sum(), 3)} m driven: '
             'positions alone (GNSS without an INS?) cannot be calibrated. Give poses whose '
@@ -66,11 +65,11 @@ def require_orientation(trajectory: Trajectory) -> None:
 
 
 def _is_course(trajectory: Trajectory) -> bool:
-    """Tell whether the yaw is the direction from one position to the next, and all there is.
+    """Return whether the orientation is a yaw from the course over ground.
 
-    It turns about one axis only, to the last digit. What computed it from the positions follows
-    every error of them. What took it from velocities shows no roll and pitch where the height
-    changes and no lever arm in curves, as a measured yaw would.
+    Such an orientation rotates about one axis only, to the last digit. Computed from positions it
+    follows their errors. Computed from velocities it has no roll and pitch although the height
+    changes, and no lever arm in curves; a measured yaw has.
     """
     count = min(len(trajectory), _COURSE_POSES)
     turns = trajectory.turns[:count - 1]
@@ -85,71 +84,72 @@ def _is_course(trajectory: Trajectory) -> bool:
     position = moved @ np.stack([across, np.cross(axis, across)]).T
     height_varies = float(np.std(np.diff(moved @ axis))) > _DIGITS
     return any(
-        _follows(position, sign * yaw, *steps, no_lever=height_varies and steps == _SPAN)
+        _is_course_over(position, sign * yaw, *steps, no_lever=height_varies and steps == _SPAN)
         for steps in ((0, 1), (1, 0), (1, 1), _SPAN) for sign in (1.0, -1.0))
 
 
-def _follows(
+def _is_course_over(
     position: FloatArray, yaw: FloatArray, before: int, after: int, *, no_lever: bool,
 ) -> bool:
-    """Tell whether (N,) yaw is the course of (N, 2) positions over so many steps.
+    """Return whether (N,) yaw angles are the course of (N, 2) positions over so many steps.
 
-    By the errors of the positions in it, or else, where asked for, by a lever arm of zero.
+    They are if they follow the errors of the positions or, with ``no_lever``, if the lever arm is
+    zero.
     """
     k = np.arange(before, len(position) - after)
     step = position[k + after] - position[k - before]
     length = np.linalg.norm(step, axis=1)
     course = np.arctan2(step[:, 1], step[:, 0])
-    # Standing still it has no course; at both ends of three, for their second difference.
+    # A stationary vehicle has no course; the second difference needs three of them.
     long_ = length > _LONG_STEP * np.median(length)
     inner = long_[:-2] & long_[1:-1] & long_[2:]
     if inner.sum() < _LEAST_STEPS:
         return False
-    apart = _wrapped(course - yaw[k])
-    # The axis of the turns, and with it where yaw counts from, is known but for a constant.
-    apart = _wrapped(apart - np.angle(np.mean(np.exp(1j * apart[long_]))))
-    bend = np.where(inner, _wrapped(np.diff(course, 2)), 0.0)
-    rough = float(np.median(np.abs(bend[inner])))
-    # Errors of positions bend the course to and fro. Without any, it bends as the road does, and
-    # a vehicle that does not slip is truly turned along it.
-    to_and_fro = float(bend[:-1] @ bend[1:]) < 0
-    if to_and_fro and rough > _DIGITS and np.median(np.abs(apart[long_])) < _COPIED * rough:
+    difference = _wrapped(course - yaw[k])
+    # The origin of the yaw is arbitrary.
+    difference = _wrapped(difference - np.angle(np.mean(np.exp(1j * difference[long_]))))
+    second = np.where(inner, _wrapped(np.diff(course, 2)), 0.0)
+    noise = float(np.median(np.abs(second[inner])))
+    # Position errors make successive second differences of opposite sign. Without such errors the
+    # course follows the road, and a vehicle without slip really has this yaw.
+    alternating = float(second[:-1] @ second[1:]) < 0
+    if alternating and noise > _DIGITS and np.median(np.abs(difference[long_])) < _COPIED * noise:
         return True
     if not no_lever:
         return False
-    # Radians a metre; the course of a lever arm l ahead is off by l times that.
+    # Radians per metre; a lever arm l ahead changes the course by l times the curvature.
     curvature = (yaw[k + after] - yaw[k - before])[long_] / length[long_]
     columns = np.column_stack([np.ones_like(curvature), curvature])
     P = np.linalg.pinv(columns.T @ columns)
-    offset, lever = P @ (columns.T @ apart[long_])
-    rest = apart[long_] - columns @ [offset, lever]
-    # Errors of positions reach over the steps that they have in common.
-    std = np.sqrt(np.diag(P) * 2 * (before + after) * float(np.mean(rest**2)))
+    offset, lever = P @ (columns.T @ difference[long_])
+    residuals = difference[long_] - columns @ [offset, lever]
+    # Position errors are correlated over overlapping steps.
+    std = np.sqrt(np.diag(P) * 2 * (before + after) * float(np.mean(residuals**2)))
     return bool(abs(lever) < _NO_LEVER + _SIGMA * std[1] < 4 * _NO_LEVER)
 
 
 def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
-    """Ask whether w comes first, where the motion along an axis of the sensor says so.
+    """Return a question if the quaternions seem to be in the order w, x, y, z.
 
-    Wheels move a vehicle along one of its axes. In the wrong order its poses move along all of
-    them. What flies, or is carried, does so in either order, and is not asked about.
+    A vehicle moves along one of its axes. With a wrong quaternion order the motion is along all
+    axes. Drones and handheld sensors move along all axes anyway, and give no question.
     """
     R = trajectory.rotations
-    every = trajectory.poses_in(_AHEAD_NS)
+    every = trajectory.poses_in(_LAG_NS)
     step = trajectory.positions[every:] - trajectory.positions[:-every]
     at = slice(every // 2, every // 2 + len(step))
     if len(step) < _LEAST_STEPS or not step.any():
         return ()
     w_first = se3.rotation_to_quaternion(R[at])[:, [1, 2, 3, 0]]
-    ahead, other = (_share_along_one_axis(rotations, step) for rotations in (
+    as_read, other = (_share_along_one_axis(rotations, step) for rotations in (
         R[at], se3.quaternion_to_rotation(w_first)))
-    if ahead > _ASKEW or other < _AHEAD:
+    if as_read > _WRONG or other < _RIGHT:
         return ()
     return (Finding(
         'quaternion-order', f'is w first in the quaternions? Then it moves along one of its axes '
-        f'({other:.0%} of the distance; as read {ahead:.0%}), as a vehicle: '
+        f'({other:.0%} of the distance; as read {as_read:.0%}), as a vehicle: '
         '--quaternion-order wxyz',
-        {'share_as_read': ahead, 'share_w_first': other}),)
+        {'share_as_read': as_read, 'share_w_first': other}),)
 
 
 def _share_along_one_axis(rotations: FloatArray, steps: FloatArray) -> float:
@@ -160,24 +160,24 @@ def _share_along_one_axis(rotations: FloatArray, steps: FloatArray) -> float:
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:
-    turned: FloatArray = np.angle(np.exp(1j * angle))
-    return turned
+    wrapped: FloatArray = np.angle(np.exp(1j * angle))
+    return wrapped
 
 
 def least_steps(trajectory: Trajectory) -> tuple[float, float]:
-    """Return how far a body moves in 0.2 s, metres, as its poses read and if they are inverted.
+    """Return the motion of a body in 0.2 s, metres: as the poses are, and if they are inverted.
 
-    Of all points of the body, and for the inverses of all points of the world, the one that moves
-    least is followed: a sensor that looks at a target all the time turns about that target, which
-    then stands still in either reading. Else poses as they should be move less than inverted ones,
-    in which all turns swing what is far away. Both are zero where there are too few poses.
+    It is that of the point of the body that moves least. Correct poses move less than inverted
+    ones, in which every rotation swings the distant origin. A sensor that always looks at one
+    target rotates about the target, and both motions are small. Both are zero if there are too few
+    poses.
     """
-    every = trajectory.poses_in(_FOLLOWED_NS)
+    every = trajectory.poses_in(_INVERSION_LAG_NS)
     i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // _MOTIONS))
     if len(i) < 10:
         return 0.0, 0.0
     poses = trajectory.poses[np.stack([i, i + every])]
-    # Far from the origin the inverses are large numbers, and their differences lose digits.
+    # Near the origin, because the inverses of distant poses lose digits.
     poses[..., :3, 3] -= poses[0, :, :3, 3].mean(axis=0)
     return _least_step(*poses), _least_step(*se3.inverse(poses))
 
@@ -186,13 +186,13 @@ def _least_step(here: FloatArray, there: FloatArray) -> float:
     """Return the root mean square step, metres, of the point of the body that moves least."""
     turn, step = (there - here)[:, :3, :3], (there - here)[:, :3, 3]
     weights = np.ones(len(step))
-    left = weights
+    squares = weights
     for _ in range(_ROUNDS):
         weighted = weights[:, None, None] * turn
         H = np.einsum('kij,kil->jl', weighted, turn)
         point = -np.linalg.pinv(H, rcond=1e-12, hermitian=True) @ np.einsum(
             'kij,ki->j', weighted, step)
-        left = np.sum((step + turn @ point)**2, axis=1)
-        weights = 1 / (left + left.mean() + _ROUNDING**2)
-    # Jumps are no way that it went.
-    return float(np.sqrt(np.mean(np.sort(left)[:-max(1, round(_JUMPS * len(left)))])))
+        squares = np.sum((step + turn @ point)**2, axis=1)
+        weights = 1 / (squares + squares.mean() + _ROUNDING**2)
+    # Without the largest steps, which may be jumps.
+    return float(np.sqrt(np.mean(np.sort(squares)[:-max(1, round(_JUMPS * len(squares)))])))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of the extrinsic beforehand, added to what the motion says."""
+"""Bayesian update of an answer with the prior."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from trajectory_calibration.geometry import chi_squared, se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import DEFAULT_SOLVER
 
-# The correction of an answer by a prior is linear in the rotation up to about this, degrees. An
-# axis that the motion knows worse than that is unobserved: the answer about it is as good as any.
-_LARGEST_TURN_DEG = 15.0
+# The update is linear in the rotation up to about this angle, degrees. A rotation axis with a
+# larger standard deviation is unobservable: the rotation about it is arbitrary.
+_LARGEST_ROTATION_DEG = 15.0
 
-# A turn of which more than this share is about such axes has nothing to do with what is known.
+# A rotation is about unobservable axes if more than this share of it is.
 _MOSTLY = 0.7
 
-# Metres by which a translation may go along with a turn whatever is known of it.
-_NO_SHIFT = 1e-6
+# Displacement, metres, that may come with a rotation about an unobservable axis.
+_NO_DISPLACEMENT = 1e-6
 
-# Turns about a single such axis that are tried, and steps that refine the best of them.
-_TURNS = 72
+# Angles about a single unobservable axis that are tried, and iterations that refine the best one.
+_ANGLES = 72
 _MAX_REFINEMENTS = 50
 
 _MAX_UPDATES = 20
@@ -34,12 +34,11 @@ _SETTLED = 1e-13
 def apply_prior(
     T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
 ) -> tuple[FloatArray, FloatArray]:
-    """Add the prior as one more residual to an answer with its (6, 6) covariance.
+    """Return the answer and its (6, 6) covariance updated with the prior.
 
-    The most likely extrinsic under both is a least-squares problem in six unknowns, iterated in
-    the rotation (iterated Kalman update), linear in everything else. About unobserved axes it
-    begins at the prior, however far that is. Raises ConfigError where the prior turns what the
-    motion knows too far for the covariance to hold there.
+    A least-squares problem in six unknowns, iterated because of the rotation (iterated Kalman
+    update). About unobservable axes it starts at the prior. Raises ConfigError if the prior
+    rotates the answer too far for a linear update.
     """
     if not prior.given:
         return T_a_b, covariance
@@ -55,32 +54,32 @@ def apply_prior(
         observe = np.eye(6)
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
         observe = observe[known]
-        # In units of what is unobserved, the prior before the motion: a component that is fixed
-        # beside an unobserved direction has 1e13 times its weight.
+        # Scaled by the covariance, with the rows of the prior first: a fixed component has 1e13
+        # times the weight of an unobservable direction.
         Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
-        # The motion had its answer where the start began.
+        # The answer of the motion alone is at -start.
         expected = (deviation[known] + observe @ (step + start)) / std
         following = root @ np.linalg.solve(triangle, Q[:len(std)].T @ expected) - start
         settled = np.abs(following - step).max() < _SETTLED
         step = following
         if settled:
             break
-    _require_small_turn(step[3:], covariance, prior)
+    _require_small_rotation(step[3:], covariance, prior)
     half = np.linalg.solve(triangle.T, root.T)
     return se3.moved(T_a_b, step), half.T @ half
 
 
-def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) -> None:
-    """Raise ConfigError where (3,) rotation is beyond what is linear."""
-    angle = float(np.rad2deg(np.linalg.norm(turn)))
-    if angle <= _LARGEST_TURN_DEG:
+def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior: Prior) -> None:
+    """Raise ConfigError if a (3,) rotation is too large for a linear update."""
+    angle = float(np.rad2deg(np.linalg.norm(rotation)))
+    if angle <= _LARGEST_ROTATION_DEG:
         return
     axes, _ = _unobserved_axes(covariance)
     what, check = 'prior', (
         'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
         'shows the rotation, about two axes')
-    if np.linalg.norm(axes.T @ turn) > _MOSTLY * np.linalg.norm(turn):
-        # Its translation holds for its own rotation only, and that is arbitrary.
+    if np.linalg.norm(axes.T @ rotation) > _MOSTLY * np.linalg.norm(rotation):
+        # The translation belongs to a rotation that is arbitrary.
         check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
                  f'{DEFAULT_SOLVER} or a joint solver (dnl), or drive so that the motion shows '
                  'the rotation, about two axes')
@@ -89,21 +88,21 @@ def _require_small_turn(turn: FloatArray, covariance: FloatArray, prior: Prior) 
             check = f'{check}, or give prior_rotation, too'
     raise ConfigError(
         f'the {what} turns the answer of the motion by {angle:.0f} degrees, needed less than '
-        f'{_LARGEST_TURN_DEG:.0f}; {check}')
+        f'{_LARGEST_ROTATION_DEG:.0f}; {check}')
 
 
 def _unobserved_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (3, K) axes about which the motion does not know the rotation, and variances."""
+    """Return the (3, K) unobservable rotation axes and their (K,) variances."""
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
-    unobserved = variances > np.deg2rad(_LARGEST_TURN_DEG)**2
+    unobserved = variances > np.deg2rad(_LARGEST_ROTATION_DEG)**2
     return axes[:, unobserved], variances[unobserved]
 
 
 def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
-    """Return the (6,) step about its unobserved axes that takes an answer nearest to the prior.
+    """Return the (6,) step about the unobservable axes that brings an answer closest to the prior.
 
-    The answer about such an axis is arbitrary, by any angle, and a linear step does not reach the
-    prior. Zero where the translation that is known goes along with the rotation.
+    The rotation about such an axis may be wrong by any angle, too far for a linear step. The step
+    is zero if the rotation would move an observable translation.
     """
     axes, variances = _unobserved_axes(covariance)
     if not (len(variances) and np.isfinite(prior.rotation_std).any()):
@@ -111,8 +110,8 @@ def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> F
     along = covariance[:, 3:] @ axes / variances
     step: FloatArray = along @ _angles_to_prior(T_a_b[:3, :3], axes, prior)
     shift = along[:3] * np.sqrt(variances)
-    rest = covariance[:3, :3] - shift @ shift.T + _NO_SHIFT**2 * np.eye(3)
-    if step[:3] @ np.linalg.solve(rest, step[:3]) > 1:
+    without = covariance[:3, :3] - shift @ shift.T + _NO_DISPLACEMENT**2 * np.eye(3)
+    if step[:3] @ np.linalg.solve(without, step[:3]) > 1:
         return np.zeros(6)
     return step
 
@@ -120,7 +119,7 @@ def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> F
 def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> FloatArray:
     """Return (K,) radians about the columns of (3, K) axes that bring a rotation to the prior."""
     known = np.isfinite(prior.rotation_std)
-    # Relative to each other only: a fixed component has 1e12 times the weight of a degree.
+    # Normalised: a fixed component has 1e12 times the weight of a degree.
     weight = 1.0 / np.maximum(prior.rotation_std[known], FIXED)
     weight = weight / weight.max()
 
@@ -132,14 +131,14 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
         squares: FloatArray = np.sum((weight * deviation(angles)[..., known])**2, axis=-1)
         return squares
 
-    # About one axis the cost may have several minima; about more, the whole way is a start.
-    starts = (np.linspace(-np.pi, np.pi, _TURNS, endpoint=False)[:, None] if axes.shape[1] == 1
+    # About one axis the cost may have several minima; about more, the full rotation is the start.
+    starts = (np.linspace(-np.pi, np.pi, _ANGLES, endpoint=False)[:, None] if axes.shape[1] == 1
               else (se3.log_so3(prior.rotation @ R_a_b.T) @ axes)[None])
     angles: FloatArray = starts[int(np.argmin(cost(starts)))]
     for _ in range(_MAX_REFINEMENTS):
         off = deviation(angles)
         slope = (_observation(off, axes @ angles) @ axes)[known]
-        # Without a slope, nothing that is known beforehand depends on the turn.
+        # A zero slope: the prior does not depend on the angle.
         step = np.linalg.lstsq(weight[:, None] * slope, weight * off[known], rcond=1e-9)[0]
         if cost(angles + step) >= cost(angles):
             break
@@ -150,9 +149,9 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
 def contradictions(
     T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
 ) -> tuple[Finding, ...]:
-    """Say where the prior is far from the answer of the motion alone, for the uncertainty of both.
+    """Return a finding for each component of the prior that contradicts the motion.
 
-    Combined, two that contradict each other give an answer that neither of them supports.
+    The combination of two contradicting values is supported by neither.
     """
     found = []
     deviation = prior.deviation(T_a_b)
@@ -171,7 +170,7 @@ def contradictions(
     return tuple(found)
 
 
-def _observation(deviation: FloatArray, turn: FloatArray) -> FloatArray:
-    """Return (3, 3): how a rotation's deviation from the prior shrinks with a further turn."""
-    # exp(d) = R_prior R^T exp(-turn); the right Jacobian is the left one transposed.
-    return se3.left_jacobian_so3_inverse(deviation).T @ se3.left_jacobian_so3(turn)
+def _observation(deviation: FloatArray, rotation: FloatArray) -> FloatArray:
+    """Return the (3, 3) negative derivative of the deviation from the prior by the rotation."""
+    # exp(d) = R_prior R^T exp(-rotation); the right Jacobian is the left one transposed.
+    return se3.left_jacobian_so3_inverse(deviation).T @ se3.left_jacobian_so3(rotation)

@@ -1,11 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which reference to take: short motions drown in white noise, long ones in drift and jumps.
+"""Automatic reference selection: short motions suffer from white noise, long ones from drift.
 
-The errors of the relative motions do not tell which reference gives the better extrinsic. What the
-data say of the extrinsic as a whole does (``covariance.MostLikely``): each reference's answer has
-an expected squared error, ``|x_n - x|^2 + tr P``, with rotations counted by what they move a point
-one metre away. The smallest wins.
+The residuals of the relative motions do not show which reference gives the better extrinsic. The
+posterior of the extrinsic does (``covariance.MostLikely``): the answer of each reference has an
+expected squared error ``|x_n - x|^2 + tr P``, where a rotation counts as the displacement of a
+point at a distance of one metre. The smallest wins.
 """
 
 from __future__ import annotations
@@ -29,33 +29,32 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import load_solver, noise_identifier, solver_info
 
-# A rotation counts by what it moves at this distance, metres.
+# Distance, metres, at which rotations are converted to displacements.
 _DISTANCE = 1.0
 
-# References that are compared: A, and n poses that span so many seconds, as far as that is no more
-# than a quarter of the recording.
+# References that are compared besides A: lags in seconds, up to this share of the recording.
 _CANDIDATES_B = (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0)
 _CANDIDATES_C = (0.5, 1.0, 2.0)
 _LARGEST_SHARE = 0.25
 
-# The reference where none can be preferred, seconds.
+# The lag if none can be preferred, seconds.
 _USUAL = (0.5,)
 
-# Poses and motions that are enough to tell references apart.
+# Number of poses and motions that is enough to compare references.
 _ENOUGH = 10_000
 
-# Errors below this, metres, are named as such: digits would say nothing.
+# Errors below this, metres, are printed as 'below'.
 _SMALLEST = 1e-4
 
-# How many of the other candidates the explanation names.
+# Number of other candidates in the explanation.
 _NAMED = 3
 
 
 @dataclass(frozen=True)
 class ReferenceChoice:
-    """A reference, 'B6', and why; the explanation is empty where it was given and taken.
+    """A reference such as 'B6', and the reason; empty if the user gave it.
 
-    ``known`` is what the data say of the extrinsic, where it was chosen by that.
+    ``known`` is the posterior of the extrinsic if the choice was made by it.
     """
 
     reference: str
@@ -64,7 +63,7 @@ class ReferenceChoice:
 
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
-    """Return the reference of the configuration, or for ``auto`` the best by expectation."""
+    """Return the configured reference, or for ``auto`` that of the least expected error."""
     (lag,) = lag_grid(pairs.stamps_ns, _USUAL, largest_share=1.0)
     usual = f'B{max(1, min(lag, (len(pairs) - 1) // 2))}'
     needed = solver_info(config.solver).needs_reference
@@ -82,19 +81,19 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     try:
         known = most_likely(pairs, config)
         if config.input_checks:
-            # What is refused as an answer is none to judge others by.
+            # An answer that would be refused cannot judge others.
             require_fit(known.T_a_b, pairs, ('a', 'b'), noise_identifier().name)
     except (MotionError, SolverError) as error:
-        # Whether the motion is enough is for the solver that was asked for to say.
+        # The chosen solver decides whether the motion is enough.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
-    directions, variance = _shown(known, config)
+    directions, variance = _observable(known, config)
     expected: dict[str, float] = {}
     for reference in _candidates(pairs):
         motions = select_motions(pairs, reference, _ENOUGH)
         try:
             found = load_solver(config.solver)(motions, config).T_a_b
         except (MotionError, SolverError):
-            # Another reference may do; where none does, the usual one says why.
+            # Another reference may work; if none does, the usual one raises the error.
             continue
         step = directions @ se3.step_between(known.T_a_b, found)
         expected[reference] = float(np.sqrt(step @ step + variance))
@@ -111,16 +110,16 @@ def _candidates(pairs: PosePairs) -> list[str]:
     return ['A', *(f'B{lag}' for lag in lags_b), *(f'C{lag}' for lag in lags_c if lag > 1)]
 
 
-def _shown(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:
-    """Return (K, 6) what turns a step into metres along directions that the motion showed.
+def _observable(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:
+    """Return the (K, 6) observable directions and the sum of their variances, m^2.
 
-    And the variance of the mean along all of them together, m^2.
+    A direction times a step (dt, dtheta) is a displacement in metres.
     """
     unit = np.repeat([1.0, _DISTANCE], 3)
     variances, axes = np.linalg.eigh(known.covariance * np.outer(unit, unit))
-    # Where the motion showed nothing, no answer is better than another.
+    # Along unobservable directions no answer is better than another.
     seen = variances < config.unobserved_translation**2
-    # Rounding may leave a variance below zero.
+    # Rounding may make a variance negative.
     return axes[:, seen].T * unit, float(np.maximum(variances[seen], 0.0).sum())
 
 

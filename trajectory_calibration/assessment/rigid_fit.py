@@ -1,11 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How well one rigid motion explains two trajectories, in milliseconds and by any reading of them.
+"""A fast fit of one extrinsic to two trajectories, to check that they are of one rigid body.
 
-No solver and no error bars: relative motions over a few lags, the rotation between the sensors
-by Wahba's problem, its lever arm and scale by least squares, all of it reweighted so that jumps
-count little. It answers whether two trajectories are of one body at all, and which reading of
-their numbers (inverted, another order of the quaternion, mirrored) makes them so.
+Relative motions over a few lags; the rotation by Wahba's problem, lever arm and scale by least
+squares, reweighted against outliers. It takes milliseconds, so that other readings of the poses
+can be tried (inverted, another quaternion order, mirrored). It is no solver and has no covariance.
 """
 
 from __future__ import annotations
@@ -15,74 +14,75 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.motion_equations import LARGEST_TURN, Moved
+from trajectory_calibration.assessment.motion_equations import LARGEST_ROTATION, MotionVectors
 from trajectory_calibration.data.motion_pairs import lag_grid
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Lags, seconds at 10 Hz or more, those first that most recordings agree over.
+# Lags, seconds; those first over which most recordings fit.
 LAGS_S = (2.0, 0.5, 0.2, 0.1, 8.0, 32.0)
-# Beyond this lag also two sensors agree whose clocks are seconds apart: then what they do apart at
-# shorter ones must be errors, which grow no more than so many times faster than independent ones.
+# Beyond this lag two sensors fit even with clocks seconds apart. Residuals at shorter lags must
+# then be errors: they must not grow faster with the lag than independent errors by this factor.
 _SHORT_S = 2.0
 NOT_BY_NOISE = 1.5
-# Share of the poses that the longest lag may span; motions that suffice; fewer say nothing.
+# Longest lag as a share of the poses; number of motions that are enough; fewest motions.
 _LONGEST_SHARE = 0.25
 _MOTIONS, _LEAST_MOTIONS = 300, 5
-# Rounds of reweighting, and those of them that find the rotation by itself.
+# Iterations, and the first of them, which estimate the rotation separately.
 _ROUNDS, _ALONE = 8, 2
 
-# Squared metres and radians that are rounding.
+# Rounding, squared metres or radians.
 _TINY = 1e-24
 
-# One body: the sensors turn apart by less than this share of their turns and move apart by less
-# than this share of their way, over one lag at least.
-_ONE_BODY = {'turn': 0.1, 'way': 0.2}
+# One body: over at least one lag, the residuals are below these shares of the motion.
+_ONE_BODY = {'rotation': 0.1, 'translation': 0.2}
 
 
-# How the (K, 4, 4) poses of a sensor are to be read; None: as they are.
+# A function that converts (K, 4, 4) poses to the intended ones; None: as they are.
 Read = Callable[[FloatArray], FloatArray] | None
 
 
 @dataclass(frozen=True)
 class RigidFit:
-    """What the best rigid motion leaves unexplained over one lag.
+    """The residuals of the best extrinsic over one lag.
 
     Attributes
     ----------
-    lag, lag_s : in poses, and the time of ``LAGS_S`` that it stands for.
-    turn, turn_apart : radians, medians over the motions.
-    turn_share : the same as a share, of the quarter of the motions that turns most.
-    way_apart : metres that stay unexplained, median over the motions.
-    way_share : the same as a share of the way, of the longer half of the motions.
+    lag, lag_s : the lag in poses, and in seconds as in ``LAGS_S``.
+    rotation : median rotation of a motion, radians.
+    rotation_residual : median residual, radians.
+    rotation_share : residual / rotation, median over the quarter with the largest rotations.
+    translation_residual : median residual, metres.
+    translation_share : residual / translation, median over the longer half of the motions.
 
     """
 
     lag: int
     lag_s: float
-    turn: float
-    turn_apart: float
-    turn_share: float
-    way_apart: float
-    way_share: float
+    rotation: float
+    rotation_residual: float
+    rotation_share: float
+    translation_residual: float
+    translation_share: float
 
     @property
     def one_body(self) -> bool:
-        """Tell whether the two move as one body."""
+        """Return whether the two trajectories belong to one rigid body."""
         return self.misfit < 1
 
     @property
     def misfit(self) -> float:
-        """Return the larger of both shares, relative to what one body leaves."""
-        return max(self.turn_share / _ONE_BODY['turn'], self.way_share / _ONE_BODY['way'])
+        """Return the larger of both shares, relative to the limits of one body."""
+        return max(self.rotation_share / _ONE_BODY['rotation'],
+                   self.translation_share / _ONE_BODY['translation'])
 
 
 def fits(
     pairs: PosePairs, read_a: Read = None, read_b: Read = None,
     seconds: Sequence[float] = LAGS_S,
 ) -> Iterator[RigidFit]:
-    """Yield the fit over each lag that the pairs, read so, have enough motions for."""
+    """Yield the fit over each lag that has enough motions."""
     lags: dict[int, float] = {}
     for lag_s in seconds:
         lags.setdefault(lag_grid(pairs.stamps_ns, (lag_s,), 1.0)[0], lag_s)
@@ -97,45 +97,46 @@ def best_fit(
     pairs: PosePairs, read_a: Read = None, read_b: Read = None,
     seconds: Sequence[float] = LAGS_S,
 ) -> RigidFit | None:
-    """Return the first fit of one body, or else the best one; None where there is none."""
+    """Return the first fit of one body, or the best one; None if there are too few motions."""
     found: list[RigidFit] = []
     for fit in fits(pairs, read_a, read_b, seconds):
         found.append(fit)
         if fit.one_body and (fit.lag_s <= _SHORT_S or max(
-                growth(found, 'turn'), growth(found, 'way')) <= NOT_BY_NOISE):
+                growth(found, 'rotation'), growth(found, 'translation')) <= NOT_BY_NOISE):
             return fit
     # None of these is one body, however long the lag.
     return min((fit for fit in found if not fit.one_body),
                key=lambda fit: fit.misfit, default=None)
 
 
-def turn_share(pairs: PosePairs, lag: int, R_a_b: FloatArray) -> float:
-    """Return by what share of the turns over a lag a (3, 3) rotation misses them."""
-    return _turn_share(Moved.by(*_motions(pairs, lag)), R_a_b)
+def rotation_share(pairs: PosePairs, lag: int, R_a_b: FloatArray) -> float:
+    """Return the ``rotation_share`` of a (3, 3) rotation over a lag."""
+    return _rotation_share(MotionVectors.by(*_motions(pairs, lag)), R_a_b)
 
 
 def growth(found: Sequence[RigidFit], what: str) -> float:
-    """Return how much faster what is unexplained grows with the lag than independent errors do.
+    """Return how much faster the residuals grow with the lag than independent errors do.
 
-    Errors of each pose do not grow, those of each step grow with the root of the lag. What two
-    bodies do apart grows with the lag. ``what`` is 'turn' or 'way'; lags with no more disagreement
-    than one body has do not count.
+    Errors of poses do not grow with the lag, errors of steps grow with its square root, and the
+    residuals of two separate bodies grow with the lag itself. ``what`` is 'rotation' or
+    'translation'. Lags whose share is below the limit of one body do not count.
     """
     ascending = sorted(found, key=lambda item: item.lag)
-    apart = [float(getattr(item, f'{what}_apart')) for item in ascending]
+    residuals = [float(getattr(item, f'{what}_residual')) for item in ascending]
     factor = 1.0
     for k, item in enumerate(ascending):
         likely = min((np.sqrt(item.lag / other.lag) * size
-                      for other, size in zip(ascending[:k], apart[:k], strict=True)), default=0.0)
+                      for other, size in zip(ascending[:k], residuals[:k], strict=True)),
+                     default=0.0)
         if likely > 0 and getattr(item, f'{what}_share') > _ONE_BODY[what]:
-            factor = max(factor, apart[k] / likely)
+            factor = max(factor, residuals[k] / likely)
     return factor
 
 
 def _motions(
     pairs: PosePairs, lag: int, read_a: Read = None, read_b: Read = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (K, 4, 4) motions of a and b over a lag, as many as suffice."""
+    """Return (K, 4, 4) motions of a and b over a lag, at most ``_MOTIONS`` or so."""
     count = len(pairs) - lag
     i = np.arange(0, count, max(1, -(-count // _MOTIONS)))
     found = []
@@ -146,62 +147,64 @@ def _motions(
 
 
 def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | None:
-    moved = Moved.by(A, B)
-    square = np.maximum(np.sum(moved.turn_a**2, axis=1), np.sum(moved.turn_b**2, axis=1))
-    usable = square < LARGEST_TURN**2
+    vectors = MotionVectors.by(A, B)
+    angle2 = np.maximum(np.sum(vectors.phi_a**2, axis=1), np.sum(vectors.phi_b**2, axis=1))
+    usable = angle2 < LARGEST_ROTATION**2
     if usable.sum() < _LEAST_MOTIONS:
         return None
-    moved, square = Moved(*(item[usable] for item in moved)), square[usable]
-    way = np.sum(moved.way_a**2, axis=1)
-    weight_t, weight_v = (
-        np.full(len(way), 1 / max(float(np.mean(size)), _TINY)) for size in (square, way))
-    T, scale = np.eye(4), 1.0
+    vectors, angle2 = MotionVectors(*(item[usable] for item in vectors)), angle2[usable]
+    length2 = np.sum(vectors.t_a**2, axis=1)
+    weights = [np.full(len(size), 1 / max(float(np.mean(size)), _TINY))
+               for size in (angle2, length2)]
+    T_a_b, scale = np.eye(4), 1.0
     for k in range(_ROUNDS):
         if k < _ALONE:
-            # Turns about one axis say nothing of the rotation about it; where both went does.
-            T[:3, :3] = se3.nearest_rotation(
-                _correlation(moved.turn_a, moved.turn_b, weight_t)
-                + _correlation(moved.way_a + moved.lever @ T[:3, 3], moved.way_b, weight_v))
-        # Then all of it together: in turns, a heading and a lever arm settle each other slowly.
+            # With rotations about one axis only, the translations determine the rest.
+            arm = vectors.R_a_minus_I @ T_a_b[:3, 3]
+            T_a_b[:3, :3] = se3.nearest_rotation(
+                _correlation(vectors.phi_a, vectors.phi_b, weights[0])
+                + _correlation(vectors.t_a + arm, vectors.t_b, weights[1]))
+        # Later all unknowns together: alternating converges slowly for heading and lever arm.
         free = slice(3, 7) if k < _ALONE else slice(0, 7)
         H, g = np.zeros((7, 7)), np.zeros(7)
-        for J, left, weight, size in zip(moved.slopes(T, scale), moved.left(T, scale),
-                                         (weight_t, weight_v), (square, way), strict=True):
+        for J, residuals, weight, size in zip(
+                vectors.jacobians(T_a_b, scale), vectors.residuals(T_a_b, scale), weights,
+                (angle2, length2), strict=True):
             rows = (weight[:, None, None] / max(float(weight @ size), _TINY) * J).reshape(-1, 7)
             H += rows.T @ J.reshape(-1, 7)
-            g += rows.T @ left.ravel()
+            g += rows.T @ residuals.ravel()
         step = np.zeros(7)
         step[free] = np.linalg.pinv(H[free, free], rcond=1e-10, hermitian=True) @ g[free]
-        T[:3, :3] = se3.exp_so3(step[:3]) @ T[:3, :3]
-        T[:3, 3] += step[3:6]
+        T_a_b[:3, :3] = se3.exp_so3(step[:3]) @ T_a_b[:3, :3]
+        T_a_b[:3, 3] += step[3:6]
         scale *= 1 + float(step[6])
-        turn_apart, way_apart = (np.sum(left**2, axis=1) for left in moved.left(T, scale))
-        weight_t, weight_v = (
-            1 / (apart + np.median(apart) + _TINY) for apart in (turn_apart, way_apart))
+        squares = [np.sum(residuals**2, axis=1) for residuals in vectors.residuals(T_a_b, scale)]
+        weights = [1 / (square + np.median(square) + _TINY) for square in squares]
+    of_rotation, of_translation = squares
     if scale <= 0:
-        way_apart = way
-    turn = 0.5 * np.sum(moved.turn_a**2 + moved.turn_b**2, axis=1)
-    longer = way >= np.median(way)
+        of_translation = length2
+    rotation = 0.5 * np.sum(vectors.phi_a**2 + vectors.phi_b**2, axis=1)
+    longer = length2 >= np.median(length2)
     return RigidFit(
-        lag, lag_s, float(np.sqrt(np.median(turn))), float(np.sqrt(np.median(turn_apart))),
-        _turn_share(moved, T[:3, :3]), float(np.sqrt(np.median(way_apart))),
-        float(np.sqrt(np.median(way_apart[longer] / (way[longer] + _TINY)))))
+        lag, lag_s, float(np.sqrt(np.median(rotation))), float(np.sqrt(np.median(of_rotation))),
+        _rotation_share(vectors, T_a_b[:3, :3]), float(np.sqrt(np.median(of_translation))),
+        float(np.sqrt(np.median(of_translation[longer] / (length2[longer] + _TINY)))))
 
 
-def _turn_share(moved: Moved, R: FloatArray) -> float:
-    """Return the median, over the quarter of the turns that is largest, of what R misses."""
-    turn = 0.5 * np.sum(moved.turn_a**2 + moved.turn_b**2, axis=1)
-    most = turn >= np.quantile(turn, 0.75)
-    apart = np.sum((moved.turn_a - moved.turn_b @ R.T)**2, axis=1)
-    return float(np.sqrt(np.median(apart[most] / (2 * turn[most] + _TINY))))
+def _rotation_share(vectors: MotionVectors, R: FloatArray) -> float:
+    """Return the median of residual / rotation over the quarter with the largest rotations."""
+    angle2 = 0.5 * np.sum(vectors.phi_a**2 + vectors.phi_b**2, axis=1)
+    most = angle2 >= np.quantile(angle2, 0.75)
+    squares = np.sum((vectors.phi_a - vectors.phi_b @ R.T)**2, axis=1)
+    return float(np.sqrt(np.median(squares[most] / (2 * angle2[most] + _TINY))))
 
 
 def _correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the (3, 3) sum of products of (K, 3) vectors as a share of what it can be.
+    """Return the (3, 3) weighted correlation of (K, 3) vectors, between -1 and 1.
 
-    So that neither turns nor ways rule the other, however well they fit by themselves.
+    Normalised, so that rotations and translations count alike whatever their noise.
     """
     weighted = a * weights[:, None]
     most = np.sqrt(np.sum(weighted * a) * float(weights @ np.sum(b**2, axis=1)))
-    share: FloatArray = weighted.T @ b / max(float(most), _TINY)
-    return share
+    correlation: FloatArray = weighted.T @ b / max(float(most), _TINY)
+    return correlation
