@@ -266,7 +266,7 @@ def test_the_transform_names_what_was_not_observed(tmp_path, capsys):
                        '--allow-unobserved', '--output', tmp_path)
     assert status == 3
     lines = (tmp_path / 'T_a_b.txt').read_text().splitlines()
-    assert lines[1] == '# unobserved: z'
+    assert lines[0].startswith('# UNOBSERVED: z of sensor_b in sensor_a. ')
     np.testing.assert_allclose(
         read_extrinsic(tmp_path / 'T_a_b.txt').T_a_b,
         CalibrationResult.load(tmp_path / 'result.yaml').T_a_b, atol=1e-8)

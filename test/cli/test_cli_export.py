@@ -135,8 +135,9 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
     status, _, err = run(capsys, 'calibrate', a, b, '--output', folder, '--solver', 'ali')
     assert status == 3
     assert [path.name for path in folder.iterdir()] == ['result.yaml']
-    assert err == (f'no exports: z unobserved. To write one all the same: export '
-                   f"'{folder}/result.yaml' --as FORMAT --allow-unobserved\n")
+    assert err == (
+        'not exported: z of sensor_b in sensor_a unobserved. To write it all the same: '
+        f"--allow-unobserved, here or in export '{folder}/result.yaml' --as FORMAT\n")
     assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
         'z'] == 'unobserved'
     for name in EXPORTS:

@@ -269,7 +269,7 @@ def test_a_saved_rig_is_exported_as_a_whole(folder, capsys, tmp_path):
     rig = RigResult.load(saved)
     for name in RIG_FILES:
         assert main(['export', saved, '--as', name]) == 0
-        assert capsys.readouterr().out == encode_rig(rig, name).decode()
+        assert capsys.readouterr().out == encode_rig(rig, name, placements(rig)).decode()
     assert main(['export', saved, '--as', 'matrix']) == 2
     assert 'matrix holds one transform' in capsys.readouterr().err
     assert main(['export', saved, '--as', 'urdf', '--parent', 'base_link']) == 2
@@ -338,15 +338,16 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
     command.append('--force')
     assert main(command) == 3
     assert capsys.readouterr().err == (
-        'not exported: z of camera in velodyne; z of rear in velodyne unobserved; '
-        'rig --allow-unobserved writes them\n')
+        'not exported: z of camera in velodyne; z of rear in velodyne unobserved. '
+        f'To write it all the same: --allow-unobserved, here or in export {out}/rig.yaml --as '
+        'FORMAT\n')
     assert [path.name for path in out.iterdir()] == ['rig.yaml']
     # Of the two only the camera has a known height.
     (tmp_path / 'RIG.yaml').write_text(RIG.replace(
         'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
         'prior_translation_std: 0.01'))
     assert main(command) == 3
-    assert 'not exported: z of rear in velodyne unobserved;' in capsys.readouterr().err
+    assert 'not exported: z of rear in velodyne unobserved. ' in capsys.readouterr().err
     assert (out / 'camera' / 'extrinsic.urdf').is_file()
     assert not (out / 'rear').exists()
     assert 'camera' in (out / 'rig.urdf').read_text()

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-import shlex
 import sys
 
 from trajectory_calibration import exit_status
@@ -19,13 +18,13 @@ from trajectory_calibration.cli.writing import (
     print_as,
     read_truth,
     require_new,
+    write_answer,
     write_failure,
     write_pages,
 )
-from trajectory_calibration.config.yaml_file import make_folder, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
-from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
-from trajectory_calibration.geometry.se3 import FloatArray, rotation_to_quaternion
+from trajectory_calibration.errors import CalibrationError, ConfigError
+from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.screen import format_result, format_transform
 from trajectory_calibration.outputs.terminal import Terminal
@@ -89,7 +88,6 @@ def run(arguments: argparse.Namespace) -> int:
     # No file that cannot be written takes the answer away, and no reader that has gone the files.
     try:
         _print(result, truth, arguments)
-        print(end='', flush=True)
     finally:
         if arguments.output is not None:
             _write(result, truth, arguments.output)
@@ -112,39 +110,18 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
-    """Write the result, the bare transform as one row that other tools read, and the exports."""
-    from trajectory_calibration.outputs.exports import (
-        encode_exports,
-        EXPORT_FILES,
-        remove_others,
-        write_files,
-    )
+    """Write the result, the transform as one row that other tools read, and the exports."""
+    from trajectory_calibration.outputs.exports import encode_exports, EXPORT_FILES, EXPORTS
     item = Placement.of(result)
-    contents = {}
+    contents: dict[str, str | bytes] = {}
     if not item.kept_back:
-        row = (*result.T_a_b[:3, 3], *rotation_to_quaternion(result.T_a_b[:3, :3]))
-        text = f'# pose of {result.frame_b} in {result.frame_a}: stamp tx ty tz qx qy qz qw\n'
-        if result.observability.unobserved:
-            text += f'# unobserved: {", ".join(result.observability.unobserved)}\n'
-        text += f'0 {" ".join(f"{value:.9f}" for value in row)}\n'
-        contents[TRANSFORM_FILE] = text.encode()
+        # A row, unlike a tree of frames, needs no two names.
+        contents[TRANSFORM_FILE] = EXPORTS['tum'].contents(item)
         if result.frame_a != result.frame_b:
             contents.update(encode_exports(item))
-    try:
-        make_folder(folder, ResultError)
-        removed = remove_others(folder, (TRANSFORM_FILE, *EXPORT_FILES), contents)
-        write_yaml(folder / RESULT_FILE, result.to_dict(truth))
-        write_files(folder, contents)
-    except ResultError as error:
-        raise ResultError(f'{error}; give another --output') from error
-    if item.kept_back:
-        print(f'no exports: {", ".join(result.observability.unobserved)} unobserved. To write '
-              f'one all the same: export {shlex.quote(str(folder / RESULT_FILE))} --as FORMAT '
-              '--allow-unobserved',
-              file=sys.stderr)
-    if removed:
-        print(f'removed from {folder}, as of an earlier answer: '
-              f'{", ".join(path.name for path in removed)}', file=sys.stderr)
+    write_answer(
+        folder / RESULT_FILE, result.to_dict(truth), contents, (TRANSFORM_FILE, *EXPORT_FILES),
+        item.kept_back)
 
 
 def _print(

@@ -8,11 +8,10 @@ import argparse
 from pathlib import Path
 import sys
 
-from trajectory_calibration.cli.writing import require_new
+from trajectory_calibration.cli.writing import print_table, require_new
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry, short_names
 from trajectory_calibration.outputs.comparison_table import to_csv, to_json, to_text
-from trajectory_calibration.outputs.exports import write_files
 from trajectory_calibration.outputs.fleet_page import fleet_page
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.result import is_rig
@@ -69,14 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
 def report(comparison: Comparison, arguments: argparse.Namespace) -> int:
     """Print and write a comparison; return the exit status."""
     text = {'text': to_text, 'csv': to_csv, 'json': to_json}[arguments.format](comparison)
-    # A reader that has gone takes no files away.
-    try:
-        print(text, end='' if text.endswith('\n') else '\n', flush=True)
-        if arguments.format != 'text' and comparison.exit_status:
-            print('\n'.join(comparison.describe()), file=sys.stderr)
-    finally:
-        if arguments.output is not None:
-            written = to_csv(comparison), to_json(comparison) + '\n', fleet_page(comparison)
-            write_files(arguments.output, dict(zip(FILES, written, strict=True)))
-            print(f'wrote {arguments.output}/{", ".join(FILES)}', file=sys.stderr)
+    encoders = to_csv, to_json, fleet_page
+    print_table(text, ((name, encode(comparison)) for name, encode in zip(
+        FILES, encoders, strict=True)), arguments)
+    if arguments.format != 'text' and comparison.exit_status:
+        print('\n'.join(comparison.describe()), file=sys.stderr)
     return comparison.exit_status

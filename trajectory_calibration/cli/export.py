@@ -10,13 +10,14 @@ import sys
 from textwrap import fill
 
 from trajectory_calibration import exit_status
+from trajectory_calibration.cli.options import refuse_options
 from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.extrinsic_file import transform_of
 from trajectory_calibration.outputs.frame_tree import FrameTree
-from trajectory_calibration.outputs.placement import Placement
+from trajectory_calibration.outputs.placement import kept_back, Placement
 from trajectory_calibration.outputs.rig_exports import encode_rig, placements, RIG_FILES
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.result import is_rig, RigResult
@@ -54,7 +55,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         '--child-transform', metavar='TRANSFORM', help='pose of the child sensor in --child')
     parser.add_argument(
-        '--parent-urdf', '--urdf', dest='urdf', type=Path, metavar='FILE',
+        '--parent-urdf', '--urdf', type=Path, metavar='FILE',
         help='URDF whose fixed joints give the transforms of --parent and --child')
     parser.add_argument(
         '--output', type=Path, metavar='FILE', help='file to write (default: standard output)')
@@ -66,63 +67,54 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the export."""
-    if is_rig(arguments.result):
-        return _run_rig(arguments)
     exporter = EXPORTS[arguments.format]
-    item = _placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)
-    if item.kept_back and not arguments.allow_unobserved:
-        print(f'error: not exported: {item.kept_back} unobserved. Calibrate with a ramp or a '
-              'prior; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
+    rig = RigResult.load(arguments.result) if is_rig(arguments.result) else None
+    if rig is None:
+        items = [_placed(Placement.of(CalibrationResult.load(arguments.result)), arguments)]
+    else:
+        _require_of_rigs(arguments)
+        items = placements(rig)
+    hidden = kept_back(items)
+    if hidden and not arguments.allow_unobserved:
+        print(f'error: not exported: {hidden} unobserved. Calibrate with a ramp or a prior; or '
+              'export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.NO_ANSWER
-    _write(exporter.encode(item) if arguments.output else exporter.write(item), arguments)
-    if item.unobserved:
-        print(f'warning: unobserved: {", ".join(item.unobserved)}; the numbers are arbitrary '
-              'along it', file=sys.stderr)
-        return exit_status.INCOMPLETE
-    return exit_status.DONE
-
-
-def _write(content: str | bytes, arguments: argparse.Namespace) -> None:
-    """Write to the file that was asked for, else a text to standard output."""
+    if rig is not None:
+        content: str | bytes = encode_rig(rig, arguments.format, items).decode()
+    else:
+        content = exporter.encode(items[0]) if arguments.output else exporter.write(items[0])
     if arguments.output is None:
         print(content, end='')
-        return
-    require_new([arguments.output], force=arguments.force)
-    write_text(arguments.output, content)
-    print(f'wrote {arguments.output}: {EXPORTS[arguments.format].sentence}', file=sys.stderr)
+    else:
+        require_new([arguments.output], force=arguments.force)
+        write_text(arguments.output, content)
+        print(f'wrote {arguments.output}: {exporter.sentence}', file=sys.stderr)
+    unobserved = ', '.join(name for item in items for name in item.unobserved)
+    if unobserved:
+        print(f'warning: unobserved: {unobserved}; the numbers are arbitrary along it',
+              file=sys.stderr)
+    incomplete = unobserved or (rig is not None and rig.unplaced)
+    return exit_status.INCOMPLETE if incomplete else exit_status.DONE
 
 
-def _run_rig(arguments: argparse.Namespace) -> int:
-    """Write all sensors of a saved rig as one file."""
-    rig = RigResult.load(arguments.result)
+def _require_of_rigs(arguments: argparse.Namespace) -> None:
+    """Raise ConfigError for a format or an option that a rig does not have."""
     if arguments.format not in RIG_FILES:
         raise ConfigError(
             f'{arguments.format} holds one transform, and {arguments.result} is a rig; needed '
             f'--as {", ".join(RIG_FILES)}. rig --output writes every format of each sensor')
-    for name in ('invert', 'parent', 'child', 'parent_transform', 'child_transform', 'urdf'):
-        if getattr(arguments, name):
-            option = 'parent-urdf' if name == 'urdf' else name.replace('_', '-')
-            raise ConfigError(f'--{option} is for one transform, and {arguments.result} is a rig; '
-                              'rig --base chooses the frame of all')
-    incomplete = [item for item in placements(rig) if item.unobserved]
-    kept_back = '; '.join(item.kept_back for item in incomplete if item.kept_back)
-    if kept_back and not arguments.allow_unobserved:
-        print(f'error: not exported: {kept_back} unobserved. Give these sensors a prior in '
-              'RIG.yaml; or export an arbitrary number with --allow-unobserved', file=sys.stderr)
-        return exit_status.NO_ANSWER
-    _write(encode_rig(rig, arguments.format, allow_unobserved=True).decode(), arguments)
-    if incomplete:
-        unobserved = ', '.join(name for item in incomplete for name in item.unobserved)
-        print(f'warning: unobserved: {unobserved}; the numbers are arbitrary along it',
-              file=sys.stderr)
-    return exit_status.INCOMPLETE if incomplete or rig.unplaced else exit_status.DONE
+    refuse_options(
+        arguments, ('invert', 'parent', 'child', 'parent_transform', 'child_transform',
+                    'parent_urdf'),
+        f'is for one transform, and {arguments.result} is a rig; rig --base chooses the frame of '
+        'all')
 
 
 def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
     """Return the placement between the frames that were asked for."""
     if arguments.invert:
         item = item.inverted()
-    tree = None if arguments.urdf is None else FrameTree.read(arguments.urdf)
+    tree = None if arguments.parent_urdf is None else FrameTree.read(arguments.parent_urdf)
     for end in ('parent', 'child'):
         frame, text = getattr(arguments, end), getattr(arguments, f'{end}_transform')
         if frame is None:
@@ -144,6 +136,6 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
     present = joint.parent if joint else ''
     if present not in ('', item.parent):
         raise ConfigError(
-            f'{item.child} already has the parent {present} in {arguments.urdf}, and a link has '
-            f'one; give --child {present}, so that {present} is placed in {item.parent}')
+            f'{item.child} already has the parent {present} in {arguments.parent_urdf}, and a '
+            f'link has one; give --child {present}, so that {present} is placed in {item.parent}')
     return item

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 import re
 from typing import Any
@@ -66,6 +66,14 @@ def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the settings that were given as options."""
     names = {option.name for option in CalibrationConfig.options()}
     return {name: value for name, value in vars(arguments).items() if name in names}
+
+
+def refuse_options(arguments: argparse.Namespace, names: Iterable[str], why: str) -> None:
+    """Raise ConfigError for the first of these options, by its attribute, that was given."""
+    for name in names:
+        if vars(arguments).get(name):
+            option = name.removeprefix('file_').replace('_', '-')
+            raise ConfigError(f'--{option} {why}')
 
 
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:

@@ -15,10 +15,17 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
+from trajectory_calibration.cli.options import refuse_options
 from trajectory_calibration.cli.progress import progress_bar, running_clock
-from trajectory_calibration.cli.writing import print_as, record_of, require_new
+from trajectory_calibration.cli.writing import (
+    print_as,
+    print_table,
+    record_of,
+    require_new,
+    write_answer,
+)
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import make_folder, write_text
+from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
@@ -29,9 +36,10 @@ from trajectory_calibration.outputs.comparison_table import (
     rigs_to_csv,
     rigs_to_data,
 )
-from trajectory_calibration.outputs.exports import EXPORT_FILES, remove_others, write_files
+from trajectory_calibration.outputs.exports import EXPORT_FILES
+from trajectory_calibration.outputs.placement import kept_back
 from trajectory_calibration.outputs.rig_exports import (
-    placements,
+    placements_by_folder,
     require_own_frames,
     rig_export_files,
     rig_exports,
@@ -122,7 +130,6 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         print_as(arguments.format, rig.to_dict(), format_rig(
             rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()))
-        print(end='', flush=True)
     finally:
         if arguments.output is not None:
             _write(rig, arguments.output, force=arguments.force)
@@ -157,23 +164,16 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 
 def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
     """Write the rig and its exports; say what is not exported, and what was removed."""
-    contents = rig_exports(rig)
-    names = rig_export_files(rig)
+    placed = placements_by_folder(rig)
+    names = rig_export_files(placed)
     # Those that are kept back, too: nothing of this name is removed without --force.
     require_new([folder / name for name in names], force=force)
     with suppress(ResultError, ConfigError):
         # Sensors that have no answer any more had their exports named by the earlier rig.
-        names += rig_export_files(RigResult.load(folder / RIG_FILE))
-    make_folder(folder, ResultError)
-    removed = remove_others(folder, dict.fromkeys(names), contents)
-    rig.save(folder / RIG_FILE)
-    write_files(folder, contents)
-    if kept_back := [item.kept_back for item in placements(rig) if item.kept_back]:
-        print(f'not exported: {"; ".join(kept_back)} unobserved; rig --allow-unobserved writes '
-              'them', file=sys.stderr)
-    if removed:
-        print(f'removed from {folder}, as of an earlier answer: '
-              f'{", ".join(str(path.relative_to(folder)) for path in removed)}', file=sys.stderr)
+        names += rig_export_files(placements_by_folder(RigResult.load(folder / RIG_FILE)))
+    write_answer(
+        folder / RIG_FILE, rig.to_dict(), rig_exports(rig, placed), dict.fromkeys(names),
+        kept_back(placed.values()))
 
 
 def _read(
@@ -227,20 +227,16 @@ def _described(
     """Return what ``_read`` does of RIG.yaml, which stands in the place of A and B."""
     if arguments.b is not None:
         raise ConfigError(f'{arguments.result} is a rig: give one RIG.yaml in place of A and B')
-    for name in (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b')):
-        if vars(arguments).get(name):
-            option = name.removeprefix('file_').replace('_', '-')
-            raise ConfigError(f'--{option} is for A and B; write how a sensor is read below it in '
-                              f'{arguments.a}')
+    names = (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b'))
+    refuse_options(
+        arguments, names, f'is for A and B; write how a sensor is read below it in {arguments.a}')
     return _read(RigDescription.load(Path(arguments.a)), arguments)
 
 
 def report_rig(arguments: argparse.Namespace) -> int:
     """Write the page of a saved rig with the tracks of RIG.yaml."""
-    for name in ('ground_truth', 'plots'):
-        if getattr(arguments, name):
-            raise ConfigError(f'--{name.replace("_", "-")} is for one pair, and '
-                              f'{arguments.result} is a rig; leave it out')
+    refuse_options(arguments, ('ground_truth', 'plots'),
+                   f'is for one pair, and {arguments.result} is a rig; leave it out')
     rig = RigResult.load(arguments.result)
     page: Path = arguments.output or arguments.result.with_suffix('.html')
     require_new([page], force=arguments.force)
@@ -282,15 +278,9 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     found = [(name, compare_rigs(first, other))
              for name, other in zip(names, others, strict=True)]
     table, data = rigs_to_csv(found), json.dumps(rigs_to_data(found, against)) + '\n'
-    text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}'
-                     for name, one in found)
-    # A reader that has gone takes no files away.
-    try:
-        print({'text': text, 'csv': table, 'json': data}[arguments.format], end='', flush=True)
-    finally:
-        if arguments.output is not None:
-            write_files(arguments.output, dict(zip(RIG_TABLES, (table, data), strict=True)))
-            print(f'wrote {arguments.output}/{", ".join(RIG_TABLES)}', file=sys.stderr)
+    text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}' for name, one in found)
+    print_table({'text': text, 'csv': table, 'json': data}[arguments.format],
+                zip(RIG_TABLES, (table, data), strict=True), arguments)
     return _status([one for _, one in found])
 
 

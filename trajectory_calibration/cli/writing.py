@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import json
 import os
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.progress import progress_bar, running_clock
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import to_yaml, write_text
+from trajectory_calibration.config.yaml_file import make_folder, to_yaml, write_text, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import CalibrationError, ConfigError, ResultError
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -44,12 +44,12 @@ def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | Non
 
 
 def print_as(form: str, data: dict[str, Any], text: str) -> None:
-    """Print data as JSON or YAML, or else a text that ends its line itself."""
+    """Print data as JSON or YAML, or else a text that ends its line itself; flush it."""
     if form == 'json':
         text = json.dumps(data) + '\n'
     elif form == 'yaml':
         text = to_yaml(data)
-    print(text, end='')
+    print(text, end='', flush=True)
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
@@ -85,6 +85,46 @@ def plot_paths(folder: Path | None) -> list[Path]:
         return []
     from trajectory_calibration.outputs.plots import plot_files
     return plot_files(folder)
+
+
+def print_table(
+    text: str, files: Iterable[tuple[str, str]], arguments: argparse.Namespace,
+) -> None:
+    """Print a comparison, and write the files, by name, into the folder of ``--output``."""
+    # A reader that has gone takes no files away.
+    try:
+        print(text, end='', flush=True)
+    finally:
+        if arguments.output is not None:
+            from trajectory_calibration.outputs.exports import write_files
+            contents = dict(files)
+            write_files(arguments.output, contents)
+            print(f'wrote {arguments.output}/{", ".join(contents)}', file=sys.stderr)
+
+
+def write_answer(
+    path: Path, data: dict[str, Any], exports: Mapping[str, str | bytes], names: Iterable[str],
+    hidden: str,
+) -> None:
+    """Write an answer as YAML, and its exports beside it; say what was ``hidden`` or removed.
+
+    An earlier answer may have left exports of these ``names``: what is not written again goes.
+    """
+    from trajectory_calibration.outputs.exports import remove_others, write_files
+    folder = path.parent
+    try:
+        make_folder(folder, ResultError)
+        removed = remove_others(folder, names, exports)
+        write_yaml(path, data)
+        write_files(folder, exports)
+    except ResultError as error:
+        raise ResultError(f'{error}; give another --output') from error
+    if hidden:
+        print(f'not exported: {hidden} unobserved. To write it all the same: --allow-unobserved, '
+              f'here or in export {shlex.quote(str(path))} --as FORMAT', file=sys.stderr)
+    if removed:
+        print(f'removed from {folder}, as of an earlier answer: '
+              f'{", ".join(str(path.relative_to(folder)) for path in removed)}', file=sys.stderr)
 
 
 def write_pages(

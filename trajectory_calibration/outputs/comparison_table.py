@@ -55,8 +55,8 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def to_json(comparison: Comparison) -> str:
-    """Return everything as one JSON object."""
-    return json.dumps(comparison.to_dict())
+    """Return everything as one JSON object in a line."""
+    return json.dumps(comparison.to_dict()) + '\n'
 
 
 def cells_of(entry: Entry, most: int | None = None) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ sentence says so. Numbers are written with all their digits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 import io
@@ -149,7 +149,7 @@ def _static_tf(item: Placement) -> str:
         *(word for pair in _publisher_arguments(item) for word in pair)]) + '\n'
 
 
-def launch_file(items: Sequence[Placement]) -> str:
+def launch_file(items: Iterable[Placement]) -> str:
     """Return a launch file that publishes the transforms."""
     nodes = ''
     for item in items:

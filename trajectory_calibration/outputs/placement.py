@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,3 +103,8 @@ class Placement:
         if self.covariance is None:
             return None
         return jacobian @ self.covariance @ jacobian.T
+
+
+def kept_back(items: Iterable[Placement]) -> str:
+    """Return what of all of them must not go out, '' for nothing."""
+    return '; '.join(item.kept_back for item in items if item.kept_back)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from xml.sax.saxutils import quoteattr
 
 from trajectory_calibration.config.file_names import file_names
@@ -52,39 +52,35 @@ def placements(rig: RigResult) -> list[Placement]:
         for name, sensor in rig.sensors.items() if name != sensor.base]
 
 
-def rig_exports(rig: RigResult) -> dict[str, bytes]:
-    """Return the files of the whole tree, and a folder of all formats for each sensor, by path.
-
-    What of a sensor is ``kept_back`` leaves it out of every file. Raises as ``placements``.
-    """
-    items = {folder: item for folder, item in _folders(rig).items() if not item.kept_back}
-    if not items:
-        return {}
-    contents = {RIG_FILES[name]: encode_rig(rig, name) for name in RIG_FILES}
-    for folder, item in items.items():
-        contents.update((f'{folder}/{name}', data) for name, data in encode_exports(item).items())
-    return contents
-
-
-def rig_export_files(rig: RigResult) -> list[str]:
-    """Return the paths that ``rig_exports`` has where nothing is kept back; raises alike."""
-    return [*RIG_FILES.values(),
-            *(f'{folder}/{name}' for folder in _folders(rig) for name in EXPORT_FILES)]
-
-
-def _folders(rig: RigResult) -> dict[str, Placement]:
-    """Return the sensors by the names of their folders, which are no other file's."""
+def placements_by_folder(rig: RigResult) -> dict[str, Placement]:
+    """Return ``placements`` by the names of their folders, which are no other file's."""
     items = placements(rig)
     names = file_names((item.child for item in items), (RIG_FILE, *RIG_FILES.values()))
     return dict(zip(names, items, strict=True))
 
 
-def encode_rig(rig: RigResult, name: str, *, allow_unobserved: bool = False) -> bytes:
-    """Return a rig as one file in a format of ``RIG_FILES``, without what is ``kept_back``.
+def rig_exports(rig: RigResult, placed: Mapping[str, Placement]) -> dict[str, bytes]:
+    """Return the files of the whole tree, and a folder of all formats for each sensor, by path.
 
-    Raises as ``placements``.
+    ``placed`` is ``placements_by_folder``; what of a sensor is ``kept_back`` leaves it out.
     """
-    items = [item for item in placements(rig) if allow_unobserved or not item.kept_back]
+    items = {folder: item for folder, item in placed.items() if not item.kept_back}
+    if not items:
+        return {}
+    contents = {file: encode_rig(rig, name, items.values()) for name, file in RIG_FILES.items()}
+    for folder, item in items.items():
+        contents.update((f'{folder}/{name}', data) for name, data in encode_exports(item).items())
+    return contents
+
+
+def rig_export_files(folders: Iterable[str]) -> list[str]:
+    """Return the paths that ``rig_exports`` has where nothing is kept back."""
+    return [*RIG_FILES.values(),
+            *(f'{folder}/{name}' for folder in folders for name in EXPORT_FILES)]
+
+
+def encode_rig(rig: RigResult, name: str, items: Iterable[Placement]) -> bytes:
+    """Return those ``placements`` of a rig as one file in a format of ``RIG_FILES``."""
     if name == 'launch':
         return launch_file(items).encode()
     if name == 'autoware':
