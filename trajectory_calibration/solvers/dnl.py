@@ -31,7 +31,7 @@ from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.certificate import certify, PROVEN
 from trajectory_calibration.solvers.solution import Solution
 
-# Starts of the search that follows a failed certificate.
+# Number of starts after a failed certificate.
 _MANY = 500
 
 # One thread at a time, in all programs: a CasADi function keeps the statistics of whoever called
@@ -41,13 +41,13 @@ _IPOPT = Lock()
 
 QUIET = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
 
-# Below this tolerance its line search is lost in the rounding of the cost; the last digits come
-# from a step on the residuals.
+# Below this tolerance the line search fails due to rounding of the cost; a final step on the
+# residuals gives the last digits.
 _IPOPT_OPTIONS = {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.max_iter': 200}
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
-    """Return the extrinsic of lowest cost (rotation entries squared + m^2).
+    """Return the extrinsic with the lowest cost (rotation entries squared + m^2).
 
     Raises MotionError for no motion at all, SolverError where Ipopt stopped before a minimum.
     """
@@ -68,7 +68,7 @@ def lowest_minimum(
 ) -> tuple[quadratic.Minimum, float]:
     """Return the lowest minimum of ``v^T G v`` over SE(3), and its gap; see ``certify``.
 
-    The cost is not convex: the search is over more and more of SO(3) until it is proven.
+    The cost is not convex: more and more starts on SO(3) are used until the minimum is proven.
     """
     for starts in (lambda: quadratic.linear_start(G)[None], lambda: None, _many_rotations):
         minimum = quadratic.minimise(G, starts(), prior)

@@ -9,18 +9,18 @@ doi:10.3390/s23073740, section III-B:
     min over (theta, t, alpha) of  sum alpha |M|^2 + (1 - alpha) c,
     0 <= alpha <= 1,   sum alpha >= d M.
 
-The cost has many minima. Three ways down:
+The cost has many minima. There are three minimisers:
 
 * ``ipopt``: extrinsic and weights in one nonlinear program, as in the paper, from the paper's
   start and to the paper's tolerance; it repeats the published figures.
 * ``path``: the same central path with the weights eliminated in closed form, many times faster
-  for many motions, then exact weights and exact extrinsic in turn.
-* ``alternating``: exact weights and exact extrinsic in turn only, from parts of the drive.
+  for many motions, then weights and extrinsic alternate.
+* ``alternating``: weights and extrinsic alternate, starting from parts of the drive.
 
-``auto`` takes ``ipopt`` for few motions and ``path`` for many, ends with every weight on its
-bound, and gives way to ``alternating`` where that finds a clearly lower cost: minima a few percent
-apart are the roughness of the trimmed cost, and there the smooth path tends to lie closer to the
-truth (docs/solvers.md has the figures).
+``auto`` uses ``ipopt`` for few motions and ``path`` for many, then alternates until every weight
+is at its bound. It prefers ``alternating`` only if its cost is clearly lower: minima that differ
+by a few percent are the roughness of the trimmed cost, and the smooth path is then usually closer
+to the truth (docs/solvers.md has the figures).
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from trajectory_calibration.solvers.solution import Solution
 # Up to this many motions the nonlinear program takes less than about a tenth of a second.
 _IPOPT_MOTIONS = 500
 
-# A cost below this share of another is clearly lower, and motions that are enough to look for one.
+# Ratio of two costs from which one is clearly lower, and number of motions to compare them.
 _CLEARLY_LOWER = 0.95
 _ENOUGH = 400
 
-# Precision of an extrinsic from which a search goes on, radians.
+# Precision of the extrinsic of a preliminary search, radians.
 _ROUGHLY = 1e-5
 
-# One motion leaves the axis of its turn unobserved.
+# With one motion the axis of its rotation is unobservable.
 _LEAST_KEPT = 2
 
 # Starts of the alternation: consecutive parts of the drive, each solved alone.
@@ -84,7 +84,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
 
 
 def _minimise(cost: TrimmedCost, method: str) -> tuple[Candidates, int]:
-    """Go down one way, or as ``auto`` the way that suits the number of motions."""
+    """Minimise by one method, or for ``auto`` by that for the number of motions."""
     motions = cost.features.shape[1]
     if method == 'alternating':
         return cost.alternate(_starts(cost))
@@ -103,7 +103,7 @@ def _minimise(cost: TrimmedCost, method: str) -> tuple[Candidates, int]:
 
 
 def _clearly_lower(best: Candidates, cost: TrimmedCost, other: Candidates) -> Candidates:
-    """Return the candidate that the other leads to where it costs clearly less than the best."""
+    """Return the minimum next to ``other`` if its cost is clearly lower, else ``best``."""
     # Without noise both are rounding errors, and their ratio says nothing.
     limit = _CLEARLY_LOWER * float(best.cost[0]) - 1e-12
     if cost.weigh(other.T_a_b).cost[0] >= best.cost[0]:

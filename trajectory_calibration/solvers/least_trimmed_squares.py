@@ -4,9 +4,9 @@
 
     min over X, alpha of  sum alpha |M|^2 + (1 - alpha) c,   0 <= alpha <= 1,  sum alpha >= d M
 
-For a fixed extrinsic the weights follow: a motion is kept where its |M|^2 is below c, and where
-that keeps fewer than d M of them, the d M smallest are kept, which is least trimmed squares. For
-fixed weights the extrinsic follows from the weighted Gram matrix. ``|M|^2`` is a sum of 91
+For a fixed extrinsic the weights are known: a motion is kept if its |M|^2 is below c. If these are
+fewer than d M, the d M smallest are kept (least trimmed squares). For fixed weights the extrinsic
+follows from the weighted Gram matrix. ``|M|^2`` is a sum of 91
 products of the entries of v (see ``quadratic``), so that both steps are one product with a
 constant (91, M) matrix, for all candidates at once.
 """
@@ -29,8 +29,8 @@ _SHORT_STEPS = 3
 _LONG_STARTS = 3
 _MAX_STEPS = 500
 
-# Central path: the barrier shrinks by this factor a step, down to this share of c. Weights beside
-# the threshold are then decided; going on to 1e-6 doubles the steps and changes nothing.
+# Central path: the barrier shrinks by this factor per step, down to this share of c. Going on to
+# 1e-6 doubles the steps and changes no weight.
 _BARRIER_FACTOR = 0.6
 _BARRIER_END = 1e-3
 
@@ -53,14 +53,14 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class TrimmedCost:
-    """The cost over the motions, with its two ways down.
+    """The cost over the motions, with its two minimisers.
 
     Attributes
     ----------
     features : (91, M), see ``quadratic.features``.
     c : cost of rejecting a motion.
     least : the least sum of weights, d M.
-    prior : where the directions are held that the kept motions leave unobserved.
+    prior : fixes directions that the kept motions do not determine.
 
     """
 
@@ -73,7 +73,7 @@ class TrimmedCost:
     def of(
         cls, motions: MotionPairs, c: float, min_inliers: float, prior: Prior | None = None,
     ) -> TrimmedCost:
-        """Return the cost over motions of which the share ``min_inliers`` must be kept."""
+        """Return the cost; at least the share ``min_inliers`` of the motions must be kept."""
         features = [quadratic.features(motions.A[part], motions.B[part])
                     for part in quadratic.parts(motions)]
         return cls(np.concatenate(features, axis=1), c, min_inliers * len(motions), prior)
@@ -96,7 +96,7 @@ class TrimmedCost:
         return np.maximum((v[:, i] * v[:, j]) @ self.features, 0.0)
 
     def weigh(self, T_a_b: FloatArray) -> Candidates:
-        """Attach the best weights, in closed form, to (S, 4, 4) extrinsics."""
+        """Return (S, 4, 4) extrinsics with their best weights, in closed form."""
         squares = self.squares(T_a_b)
         weights = (squares < self.c).astype(np.float64)
         whole = int(self.least)
@@ -112,7 +112,7 @@ class TrimmedCost:
     def alternate(
         self, starts: FloatArray, tolerance: float = 1e-12,
     ) -> tuple[Candidates, int]:
-        """Take turns between weights and extrinsic from (S, 4, 4) starts; return lowest and steps.
+        """Alternate weights and extrinsic from (S, 4, 4) starts; return the lowest, and the steps.
 
         The concentration steps, and the many short and few long starts, of P. J. Rousseeuw, K. Van
         Driessen, "Computing LTS Regression for Large Data Sets", Data Mining and Knowledge
@@ -132,13 +132,13 @@ class TrimmedCost:
         return found[[int(np.argmin(found.cost))]], step
 
     def follow_central_path(self, start: FloatArray) -> tuple[FloatArray, int]:
-        """Follow the minimum of the cost with a logarithmic barrier on the weights down to zero.
+        """Follow the minimum of the cost with a logarithmic barrier on the weights to zero.
 
         The path that an interior-point method follows, with the weights eliminated: for a barrier
         mu they solve ``|M|^2 - c - lambda = mu / alpha - mu / (1 - alpha)``, and lambda is zero or
-        what makes the sum of the weights d M. Every motion has its say at first and the decision
-        hardens slowly, which passes by the many small minima of the trimmed cost. Returns one
-        extrinsic, (1, 4, 4), and the steps that were taken.
+        what makes the sum of the weights d M. At first all motions have similar weights, which
+        avoids the many small minima of the trimmed cost. Returns one extrinsic, (1, 4, 4), and the
+        number of steps.
         """
         T_a_b, squares = start[0], self.squares(start)[0]
         mu = max(float(squares.mean()), self.c)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """First derivatives of the solvers' residuals, motion by motion, in the axes of sensor a.
 
-With ``C = X B X^-1``, the motion of b as sensor a would see it, every solver compares A with C,
-and all of its equations can be written in sensor a's axes. Near the answer the twelve entries of
-``A X - X B`` and the six numbers used here have the same sum of squares to second order, and so
-the same estimating equations, at a fraction of the cost.
+With ``C = X B X^-1``, the motion of b expressed in sensor a, every solver compares A with C, and
+its equations can be written in the axes of sensor a. Near the answer the six residuals here have
+the same sum of squares, to second order, as the twelve entries of ``A X - X B``. The estimating
+equations are therefore the same, at a fraction of the cost.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _IDENTITY = np.eye(3)
 
 
 def gram(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return (n, m) ``sum left^T right`` of (M, 6, n) and (M, 6, m), over the equations of all."""
+    """Return (n, m) ``sum left^T right`` of (M, 6, n) and (M, 6, m), over all equations."""
     product: FloatArray = left.reshape(-1, left.shape[2]).T @ right.reshape(-1, right.shape[2])
     return product
 
@@ -46,12 +46,12 @@ def translation_only(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equatio
     """Return the equations of ``sum |R_A t + t_A - R t_B - t|^2``; the rotation rows are zero."""
     t = T_a_b[:3, 3]
     D = A[:, :3, :3] - _IDENTITY
-    # R t_B: where b went, in the axes of a.
-    moved = C[:, :3, 3] - t + C[:, :3, :3] @ t
+    # R t_B, the translation of b in the axes of a.
+    Rt_b = C[:, :3, 3] - t + C[:, :3, :3] @ t
     residual, jacobian = np.zeros((len(A), 6)), np.zeros((len(A), 6, 6))
-    residual[:, TRANSLATION] = D @ t + A[:, :3, 3] - moved
+    residual[:, TRANSLATION] = D @ t + A[:, :3, 3] - Rt_b
     jacobian[:, TRANSLATION, :3] = D
-    jacobian[:, TRANSLATION, 3:] = se3.skew(moved)
+    jacobian[:, TRANSLATION, 3:] = se3.skew(Rt_b)
     return Equations(residual, jacobian, jacobian)
 
 
@@ -61,7 +61,7 @@ def separable(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
     phi = se3.log_so3(C[:, :3, :3])
     equations.residual[:, ROTATION] = se3.log_so3(A[:, :3, :3]) - phi
     equations.jacobian[:, ROTATION, 3:] = se3.skew(phi)
-    # The rotation is found first: the translation rows have no say in it.
+    # The rotation is estimated first: the translation rows do not affect it.
     instrument = equations.jacobian.copy()
     instrument[:, TRANSLATION, 3:] = 0.0
     return replace(equations, instrument=instrument)

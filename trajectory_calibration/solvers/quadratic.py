@@ -31,15 +31,15 @@ from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
 _UNOBSERVED = 1e-12
 
-# Weight, relative to the rotation's part of a form, of what holds an unobserved rotation.
+# Weight of the regularisation of an unobservable rotation, relative to the rotation part.
 _HOLD = 1e-9
 
-# Standard deviation, metres, of a translation that means nothing: far beyond ``UNOBSERVED_STD``:
-# published rows are 20 and 100 m off. What holds it outweighs the motion by at least this.
+# Standard deviation, metres, from which a translation is meaningless: far beyond
+# ``UNOBSERVED_STD``, because published rows are off by 20 and 100 m. Factor by which its
+# regularisation outweighs the motion.
 _IMPLAUSIBLE, _FIRMLY = 10 * UNOBSERVED_STD[0], 1e9
 
-# The smallest root mean square motion (radians; metres a metre of the way from the origin) that
-# is more than rounding.
+# Smallest root mean square motion above rounding (radians; metres per metre from the origin).
 _NO_MOTION = 1e-9
 
 # The same, relative to the motion of a drive straight ahead.
@@ -78,7 +78,7 @@ class Minimum:
     T_a_b : (4, 4).
     cost : value of the quadratic form.
     iterations : Newton iterations of all starts together.
-    form : (13, 13), the form with what holds the directions that the motion leaves unobserved.
+    form : (13, 13), the form, regularised in unobservable directions.
 
     """
 
@@ -89,7 +89,7 @@ class Minimum:
 
 
 def require_motion(motions: MotionPairs) -> None:
-    """Raise MotionError where one of the sensors neither turned nor moved, but for rounding."""
+    """Raise MotionError if one of the sensors did not move beyond rounding."""
     for name, moved, poses in (('a', motions.A, motions.pairs.poses_a),
                                ('b', motions.B, motions.pairs.poses_b)):
         reach = 1.0 + float(np.abs(poses[:, :3, 3]).max())
@@ -101,7 +101,7 @@ def require_motion(motions: MotionPairs) -> None:
 
 
 def rows(A: FloatArray, B: FloatArray, *, rotation: bool = True) -> FloatArray:
-    """Return (13, 6, M): times v, the residuals of (M, 4, 4) motions A and B.
+    """Return (13, 6, M) coefficients: their product with v are the residuals of (M, 4, 4) motions.
 
     Without ``rotation``, (13, 3, M): only the translation ``R_A t + t_A - R t_B - t``.
     """
@@ -166,8 +166,8 @@ def minimise(
 ) -> Minimum:
     """Minimise ``v^T G v`` over rotations and translations, from many starts at once.
 
-    What the form leaves unobserved, but for rounding, is as near as possible to the prior, or to
-    zero and the identity where there is none. ``starts`` are (S, 3, 3) rotations; the 24 of a cube
+    Unobservable directions are as near as possible to the prior, or to zero and the identity
+    without one. ``starts`` are (S, 3, 3) rotations; the 24 of a cube
     where omitted.
     """
     G = held_translation(G, prior)

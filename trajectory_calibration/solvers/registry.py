@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What solvers there are, what each needs and what it estimates.
+"""The registry of solvers: what each needs and what it estimates.
 
-The pipeline, the settings and the choice of a reference read these rows and know no names. Another
+Pipeline, settings and reference selection read these rows and contain no solver names. Another
 package adds rows through the entry point group ``trajectory_calibration.solvers``;
 ``docs/add_a_solver.md`` has an example.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 GROUP = 'trajectory_calibration.solvers'
 DEFAULT_SOLVER = 'drift_aware'
 
-# Terms of the model beside the extrinsic that a solver may estimate; each has a ..._mode setting.
+# Parameters besides the extrinsic that a solver may estimate; each has a ..._mode setting.
 TERMS = ('scale', 'systematic_drift', 'time_offset')
 
 
@@ -32,14 +32,14 @@ class SolverInfo:
 
     Attributes
     ----------
-    name : how it is asked for.
-    sentence : what it does, for a list of solvers.
+    name : as in the setting ``solver``.
+    sentence : a description, for the list of solvers.
     function : the solver (``solution.Solver``), or its 'module:name', imported on first use.
-    needs_reference : whether it works on the relative motions to a reference; without, it works
-        on the pose pairs, and a reference changes only the residuals that are reported.
+    needs_reference : whether it uses relative motions to a reference. If not, it uses the pose
+        pairs, and the reference only changes the reported residuals.
     estimates : which of ``TERMS`` it can estimate.
-    identifies_noise : whether its covariance follows from the noise that it identified in the
-        data; such a solver judges the references for the others.
+    identifies_noise : whether it identifies the noise of the data; such a solver provides the
+        covariance of the others and selects their reference.
 
     """
 
@@ -51,7 +51,7 @@ class SolverInfo:
     identifies_noise: bool = False
 
     def load(self) -> Callable[..., Any]:
-        """Return the function; its module, and CasADi where it needs it, load now."""
+        """Return the function; imports its module, and CasADi if it needs it."""
         if not isinstance(self.function, str):
             return self.function
         return cast('Callable[..., Any]', resolve_name(self.function))
@@ -79,7 +79,7 @@ SOLVER_NAMES = tuple(row.name for row in _ROWS)
 
 
 def solver_info(name: str) -> SolverInfo:
-    """Return the row of a solver; raise ConfigError, which lists all, for an unknown name."""
+    """Return the row of a solver; raise ConfigError, with the valid names, for an unknown one."""
     for row in _ROWS:
         if row.name == name:
             return row
@@ -91,7 +91,7 @@ def solver_info(name: str) -> SolverInfo:
 
 
 def solvers() -> tuple[SolverInfo, ...]:
-    """Return the rows of all solvers that are installed."""
+    """Return the rows of all installed solvers."""
     return (*_ROWS, *map(_row, _of_other_packages().values()))
 
 
@@ -106,12 +106,12 @@ def solvers_that_estimate(term: str) -> tuple[str, ...]:
 
 
 def noise_identifier() -> SolverInfo:
-    """Return the solver that identifies the noise, by which references are judged."""
+    """Return the solver that identifies the noise."""
     return next(row for row in _ROWS if row.identifies_noise)
 
 
 def _of_other_packages() -> dict[str, EntryPoint]:
-    # Not at the top: it reads the metadata of every package that is installed.
+    # Imported here: it reads the metadata of every installed package.
     from importlib.metadata import entry_points
     return {entry.name: entry for entry in entry_points(group=GROUP)}
 

@@ -33,14 +33,14 @@ from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
 # The second largest singular value of the aligned rotation vectors, relative to the largest,
-# below which all rotations share one axis but for rounding.
+# below which all rotations share one axis within rounding.
 _SINGLE_AXIS = 1e-9
 
-# The smallest root mean square rotation (radians) that is more than rounding.
-_NO_TURN = 1e-9
+# Smallest root mean square rotation (radians) above rounding.
+_NO_ROTATION = 1e-9
 
-# Rotation of a motion from which its axis is not trusted (radians). At half a turn the axis and
-# its opposite are the same rotation, and noise chooses between them for each sensor by itself.
+# Rotation of a motion (radians) from which its axis is not used. At 180 deg an axis and its
+# opposite are the same rotation, and noise decides between them for each sensor separately.
 _HALF_TURN = np.deg2rad(170.0)
 
 
@@ -50,21 +50,21 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises MotionError for no motion at all, or too few motions of less than half a turn.
     """
     quadratic.require_motion(motions)
-    motions, inliers, findings = leave_out_half_turns(motions)
+    motions, inliers, findings = exclude_half_turns(motions)
     R_a_b = align_rotation_vectors(motions, config.prior)
     t, cost = solve_translation(R_a_b, motions, config.prior)
     return Solution(se3.from_rotation_translation(R_a_b, t), cost=cost, iterations=1,
                     inliers=inliers, linearise=linear.separable, findings=findings)
 
 
-def leave_out_half_turns(
+def exclude_half_turns(
     motions: MotionPairs,
 ) -> tuple[MotionPairs, NDArray[np.bool_] | None, tuple[Finding, ...]]:
-    """Leave out the motions whose axis noise may flip, for methods that compare the axes.
+    """Exclude motions near 180 deg, whose axis noise may flip, for methods that compare axes.
 
-    Returns the motions to use, which of the given ones they are, (M,), or None for all, and
-    findings. With reference A all are kept, as in the published figures: its motions wind up to
-    half a turn wherever a vehicle turns round. Raises MotionError where fewer than two remain.
+    Returns the motions, an (M,) mask of them or None for all, and findings. With reference A all
+    are kept, as in the published figures: its motions reach 180 deg whenever a vehicle turns
+    round. Raises MotionError if fewer than two remain.
     """
     angle = np.maximum(*(se3.rotation_angle(T[:, :3, :3]) for T in (motions.A, motions.B)))
     kept: NDArray[np.bool_] = angle < _HALF_TURN
@@ -89,15 +89,15 @@ def align_rotation_vectors(motions: MotionPairs, prior: Prior) -> FloatArray:
     """Return the (3, 3) rotation R that minimises ``sum |phi_A - R phi_B|^2``.
 
     Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
-    ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``. What turns about fewer than two axes leave
-    unobserved is as near as possible to the prior, or to the identity.
+    ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``. With rotations about fewer than two axes, the
+    unobservable part is as near as possible to the prior, or to the identity.
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
     singular = np.linalg.svd(covariance, compute_uv=False)
-    nudge = max(_SINGLE_AXIS * float(singular[0]), _NO_TURN**2 * len(motions))
-    if singular[1] < nudge:
-        covariance = covariance + nudge * prior.rotation
+    regulariser = max(_SINGLE_AXIS * float(singular[0]), _NO_ROTATION**2 * len(motions))
+    if singular[1] < regulariser:
+        covariance = covariance + regulariser * prior.rotation
     return se3.nearest_rotation(covariance)
 
 
@@ -106,15 +106,15 @@ def solve_translation(
 ) -> tuple[FloatArray, float]:
     """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2.
 
-    What the turns leave unobserved is as near as possible to the prior, or to zero.
+    Unobservable directions are as near as possible to the prior, or to zero.
     """
     D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)
     # The normal equations: a 3 x 3 product costs a tenth of an orthogonal factorisation.
-    turns, side = D.T @ D, D.T @ right
-    hold = quadratic.hold_of(turns, float(np.sum(motions.B[:, :3, 3]**2)))
-    t = np.linalg.solve(turns + hold, side + hold @ prior.translation)
+    normal, side = D.T @ D, D.T @ right
+    hold = quadratic.hold_of(normal, float(np.sum(motions.B[:, :3, 3]**2)))
+    t = np.linalg.solve(normal + hold, side + hold @ prior.translation)
     hold = hold + quadratic.hold_implausible(
-        turns + hold, float(np.mean((D @ t - right)**2)))
-    t = np.linalg.solve(turns + hold, side + hold @ prior.translation)
+        normal + hold, float(np.mean((D @ t - right)**2)))
+    t = np.linalg.solve(normal + hold, side + hold @ prior.translation)
     return t, float(np.sum((D @ t - right)**2))

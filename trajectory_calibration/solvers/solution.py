@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a solver returns."""
+"""The contract of a solver: its equations, its solution, the noise it identifies."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Standard deviations of an unobserved direction, metres and radians: no two sensors of one vehicle
-# are farther apart. More would let that direction, which noise tilts, spill into others.
+# Standard deviations of an unobservable direction, metres and radians: an upper bound for sensors
+# of one vehicle. A larger value would leak into other directions, because noise tilts the axes.
 UNOBSERVED_STD = np.array([10.0] * 3 + [np.pi] * 3)
 
 
@@ -40,7 +40,7 @@ class Equations:
 
 
 class Linearise(Protocol):
-    """How a solver tells its equations, for covariances."""
+    """The linearised equations of a solver, for covariances."""
 
     def __call__(self, T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> Equations:
         """Linearise at ``T_a_b`` the motions A and ``C = X B X^-1``, both (M, 4, 4), in a."""
@@ -49,7 +49,7 @@ class Linearise(Protocol):
 
 @dataclass(frozen=True)
 class Jump:
-    """A step, up to a stamp, in which the two trajectories part: loop closure or lost track."""
+    """A step, ending at a stamp, in which one trajectory jumps: loop closure or lost track."""
 
     stamp_ns: int
     translation_m: float
@@ -58,22 +58,23 @@ class Jump:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The noise of a pair of trajectories, both sensors taken as equally noisy.
+    """The noise of two trajectories; both sensors are assumed to be equally noisy.
 
     Attributes
     ----------
     white_m, white_rad : standard deviation of the white noise of a pose, for each sensor.
-    walk_m, walk_rad : of what both drift apart in a metre; it grows with the root of the way.
-    apart : by time scale, seconds, the standard deviation of what the motions of the two differ
-        by along and about an axis, metres and radians, tails included.
-    jumps : steps in which the trajectories part, the largest first.
-    scale, scale_deviation : metres of a per metre of b; the deviation is None where the scale
-        was fixed. Likewise the following.
+    walk_m, walk_rad : standard deviation of the relative drift after 1 m; it grows with the square
+        root of the distance.
+    apart : by lag (seconds), the standard deviations of the difference of the motions of both
+        sensors along and about an axis, metres and radians, tails included.
+    jumps : the steps with jumps, the largest first.
+    scale, scale_deviation : metres of a per metre of b. A standard deviation is None if the value
+        was fixed; likewise below.
     time_offset_s, time_offset_deviation_s : added to the stamps of b, on top of the setting.
     systematic_drift, systematic_drift_deviation : metres per metre along x, y, z of b.
-    latency_s, latency_deviation_s : by which the position of b is older than its attitude; below
-        zero where that of a is.
-    saturation : rho, the correlation of the noise at short times with the motion.
+    latency_s, latency_deviation_s : delay of the position of b relative to its orientation;
+        negative for a delay of the position of a.
+    saturation : rho, the correlation of short-term noise with the motion.
 
     """
 
@@ -96,23 +97,22 @@ class Diagnosis:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """An extrinsic and how it was found.
+    """An extrinsic and its properties.
 
     Attributes
     ----------
     T_a_b : (4, 4), the pose of sensor b in sensor a.
     cost : the solver's own cost at the answer, in the units of its module's formula.
-    iterations : steps of the method, over all of its starts where they go side by side.
-    inliers : (M,) bool, the motions that the solver kept, or None where it rejects none.
+    iterations : iterations of the method, all starts together.
+    inliers : (M,) bool, motions that are not outliers; None if the solver rejects none.
     covariance : (6, 6) or None; order and side as in ``CalibrationResult``.
-    linearise : its estimating equations, from which the covariance follows where a solver has
-        none of its own; None where they do not apply.
-    optimality_gap : upper bound of how much lower the cost could be elsewhere, as a share of it;
-        0 is a proof of the global minimum, None where the solver gives no certificate.
-    findings : what a person should know of the data and the answer.
-    scale : metres of a per metre of b that the solver found, 1 where it does not look for it.
-    time_offset_s : seconds to add to the stamps of b, on top of what the association added.
-    diagnosis : the noise of the two trajectories, or None where the solver does not identify it.
+    linearise : the estimating equations, for the covariance if the solver has none of its own.
+    optimality_gap : upper bound of the relative decrease of the cost at any other extrinsic; 0
+        proves the global minimum, None without a certificate.
+    findings : on the data and the answer.
+    scale : estimated metres of a per metre of b; 1 if not estimated.
+    time_offset_s : seconds to add to the stamps of b, on top of those of the association.
+    diagnosis : noise of the two trajectories; None if the solver does not identify it.
 
     """
 
@@ -132,10 +132,10 @@ class Solution:
 class Solver(Protocol):
     """A function from relative motions to an extrinsic.
 
-    It needs no initial guess and leaves its input untouched. It always returns an answer: what
-    the motion does not determine is as near as possible to the prior, or to zero, and its
-    covariance says so. It raises ``MotionError`` only where nothing moved, and ``SolverError``
-    where its method fails.
+    It needs no initial guess and does not change its input. It always returns an answer:
+    unobservable directions are as near as possible to the prior, or to zero, and have a large
+    covariance. It raises ``MotionError`` only for input without motion, and ``SolverError`` if its
+    method fails.
     """
 
     def __call__(self, motions: MotionPairs, config: CalibrationConfig) -> Solution:

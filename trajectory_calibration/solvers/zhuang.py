@@ -34,22 +34,22 @@ from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
-from trajectory_calibration.solvers.separable import align_rotation_vectors, leave_out_half_turns
+from trajectory_calibration.solvers.separable import align_rotation_vectors, exclude_half_turns
 from trajectory_calibration.solvers.solution import Equations, Solution
 
-# Rotation between the sensors from which the coordinates are turned (radians).
+# Rotation between the sensors from which rotated coordinates are used (radians).
 _NEAR_HALF_TURN = np.deg2rad(179.9)
 
-# Rotation between the sensors from which the result warns: z is then longer than one.
+# Rotation between the sensors from which there is a finding: z is then longer than one.
 _LARGE_ROTATION = np.deg2rad(90.0)
 
-# A motion that turns less than this (radians) has no axis; only its translation is used.
+# A motion with a smaller rotation (radians) has no axis; only its translation is used.
 _NO_AXIS = 1e-9
 
 _MAX_ITERATIONS = 500
 _HALVINGS = 40
 
-# Change of the cost, relative to that of no extrinsic at all, which is rounding.
+# Rounding of the cost, relative to that of the identity.
 _ROUNDING = 1e-13
 _STEP_TOLERANCE = 1e-12
 
@@ -57,7 +57,7 @@ _STEP_TOLERANCE = 1e-12
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic at the minimum next to Kabsch's rotation; raises as ``park``."""
     quadratic.require_motion(motions)
-    motions, inliers, findings = leave_out_half_turns(motions)
+    motions, inliers, findings = exclude_half_turns(motions)
     R_start = align_rotation_vectors(motions, config.prior)
     angle = float(se3.rotation_angle(R_start))
     turned = angle > _NEAR_HALF_TURN

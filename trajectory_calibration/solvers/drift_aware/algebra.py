@@ -11,14 +11,14 @@ from trajectory_calibration.geometry.se3 import FloatArray, log_so3, skew
 # Components of a twist: (translation, rotation), both in the axes of the body.
 TRANSLATION, ROTATION = slice(0, 3), slice(3, 6)
 
-# Below this squared angle the series of ``log`` is exact to rounding of what is noise anyway.
+# Below this squared angle the series of ``log`` is accurate enough.
 _SMALL = 0.03
 
 # The elements of a flat rotation whose differences are twice the axis times the sine.
 _LOWER, _UPPER = np.array([7, 2, 3]), np.array([5, 6, 1])
 _IDENTITY = np.eye(3)
 
-# What a matrix of unit diagonal does not know better than this.
+# Rounding of a matrix with unit diagonal.
 _ROUNDING = 1e-13
 
 
@@ -63,7 +63,7 @@ def log(rotations: FloatArray) -> FloatArray:
 
 
 def adjoint_of_inverse(rotations: FloatArray, translations: FloatArray) -> FloatArray:
-    """Return (n, 6, 6) Ad of T^-1, for T of (n, 3, 3) and (n, 3): what a twist is after T."""
+    """Return the (n, 6, 6) adjoints of T^-1, for T of (n, 3, 3) rotations and (n, 3) positions."""
     back = transposed(rotations)
     result = np.zeros((len(back), 6, 6))
     result[:, TRANSLATION, TRANSLATION] = back

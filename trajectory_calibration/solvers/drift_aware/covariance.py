@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The covariance of all parameters: information, prior, sandwich over blocks of time."""
+"""The covariance of all parameters: information, priors, sandwich over blocks of time."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
-# Below this part of the information of the others a direction is unobserved: a kilometre.
+# A direction is exactly unobservable below this share of the largest information; its standard
+# deviation is then a kilometre.
 _ROUNDING, _FAR = 1e-11, 1e3
 
-# Latencies beyond this, seconds, are unlikely, whatever the tail of the prior says.
+# Standard deviation, seconds, that bounds the tail of the prior of the latency.
 _LONG_LATENCY_S = 0.1
-# Where a posterior is integrated, in standard deviations of what the data say.
+# Abscissae of the integral over the posterior, in standard deviations of the likelihood.
 _ABSCISSAE = np.linspace(-8.0, 8.0, 2001)
 
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the inverse where there is one, and the covariance of what is exactly unobserved."""
+    """Return the pseudo-inverse, and the covariance of exactly unobservable directions."""
     diagonal = np.diag(bread)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(bread * np.outer(scale, scale))
@@ -32,28 +33,28 @@ def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
     return kept / values[known] @ kept.T, free @ free.T * _FAR**2
 
 
-def _told_of_latency(fit: Fit, A: FloatArray) -> float:
-    """Return the precision that the latency has beyond that of the data, A (12, 12).
+def _prior_precision_of_latency(fit: Fit, A: FloatArray) -> float:
+    """Return the precision that the prior adds to the latency; A is the (12, 12) information.
 
-    At a constant speed nothing tells a latency from the lever arm along the way. Its posterior, a
-    Cauchy prior by the normal distribution that the data give, is then wide and lopsided, and its
-    curvature at the mode says little of it: its second moment about the mode does.
+    At constant speed a latency cannot be separated from the lever arm along the path. The
+    posterior, a Cauchy prior times a normal likelihood, is then wide and skewed. Its second moment
+    about the mode is used, because the curvature at the mode is no measure of its width.
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
-    known, apart = _inverse(A / fit.phi + np.diag(prior))
-    told = 1 / (known + apart)[LATENCY, LATENCY]
+    known, unobservable = _inverse(A / fit.phi + np.diag(prior))
+    of_data = 1 / (known + unobservable)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
-    precision = told + _LONG_LATENCY_S**-2
-    middle = (told + fit.prior[LATENCY]) * mode / precision
+    precision = of_data + _LONG_LATENCY_S**-2
+    middle = (of_data + fit.prior[LATENCY]) * mode / precision
     x = middle + _ABSCISSAE / np.sqrt(precision)
     cost = np.log1p((x / HALF_WIDTH[LATENCY - 6])**2) + 0.5 * _ABSCISSAE**2
     p = np.exp(cost.min() - cost)
-    return max(0.0, float(p.sum() / (p @ (x - mode)**2)) - told)
+    return max(0.0, float(p.sum() / (p @ (x - mode)**2)) - of_data)
 
 
 def covariance(fit: Fit) -> FloatArray:
-    """Return (12, 12), of all parameters; fixed ones have none."""
+    """Return the (12, 12) covariance of all parameters; zero for fixed ones."""
     A = fit.octaves.information(fit.c)
     W, back = whitener(A)
     middle = np.zeros_like(A)
@@ -62,8 +63,9 @@ def covariance(fit: Fit) -> FloatArray:
         middle += (vectors * np.maximum(values, fit.phi)) @ vectors.T / len(BLOCKS)
     prior = fit.prior.copy()
     prior[:6] = 0.0
-    prior[LATENCY] = _told_of_latency(fit, A)
-    inverse, apart = _inverse(A / fit.phi + np.diag(prior))
-    result = inverse @ (back.T @ middle @ back / fit.phi**2 + np.diag(prior)) @ inverse + apart
+    prior[LATENCY] = _prior_precision_of_latency(fit, A)
+    inverse, unobservable = _inverse(A / fit.phi + np.diag(prior))
+    scores = back.T @ middle @ back / fit.phi**2
+    result = inverse @ (scores + np.diag(prior)) @ inverse + unobservable
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
     return 0.5 * (result + result.T)

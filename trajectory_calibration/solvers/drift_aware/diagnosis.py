@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the fit says about the two trajectories, in numbers and in words."""
+"""The noise and the systematic errors of the two trajectories: numbers and findings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from trajectory_calibration.solvers.drift_aware.drive import (
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.solution import Diagnosis, Jump
 
-# A scale that far from one is no percentage any more.
+# From this distance to one, a scale is another unit of length.
 _ANOTHER_UNIT = 0.3
-# Jumps that a finding names; the diagnosis holds all of them.
+# Number of jumps in a finding; the diagnosis has all of them.
 _NAMED_JUMPS = 3
-# A term is a finding from so many standard deviations on, and from a size that matters.
+# A term is a finding beyond this many standard deviations and beyond a size that matters.
 _SIGNIFICANT = 3.0
 _SMALLEST_SCALE = 0.002
 _SMALLEST_DRIFT = 0.005
@@ -37,9 +37,9 @@ _SMALLEST_LATENCY_S = 0.01
 def diagnose(
     fit: Fit, covariance: FloatArray, stamps_ns: NDArray[np.int64], unit: float = 1.0,
 ) -> Diagnosis:
-    """Collect the identified noise and terms; ``covariance`` is (12, 12), stamps are (N,).
+    """Return the identified noise and terms; ``covariance`` is (12, 12), ``stamps_ns`` (N,).
 
-    The fit was to positions of b that were multiplied by ``unit``.
+    ``unit`` is the factor by which the positions of b were multiplied before the fit.
     """
     deviation = np.sqrt(np.diag(covariance))
     terms = fit.state.terms
@@ -51,7 +51,7 @@ def diagnose(
         white_rad=float(white[1]),
         walk_m=float(walk[0]),
         walk_rad=float(walk[1]),
-        apart=_apart(fit, between),
+        apart=_noise_by_lag(fit, between),
         jumps=_jumps(fit, stamps_ns),
         scale=scale,
         scale_deviation=scale * float(deviation[SCALE]) if fit.free[SCALE] else None,
@@ -67,7 +67,7 @@ def diagnose(
 
 
 def _between_worlds(fit: Fit) -> FloatArray:
-    """Return (octaves, 2), the noise between worlds; what the scale varies is noise of the way."""
+    """Return the (octaves, 2) variances between worlds, the noise of the scale included."""
     octaves = fit.tree.octaves
     n = np.bincount(fit.tree.octave, minlength=octaves)
     along = np.bincount(fit.tree.octave, (fit.contrasts.J[:, TRANSLATION, SCALE]**2).mean(
@@ -77,25 +77,25 @@ def _between_worlds(fit: Fit) -> FloatArray:
 
 
 def _white_and_walk(fit: Fit, between: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (2,) deviations of white noise of one sensor, and of the walk after a metre.
+    """Return (2,) standard deviations of the white noise of one sensor, and of drift after 1 m.
 
-    A walk of variance q a step makes D = 2^octave q / 2, and adds q / 2 to the white noise.
+    A random walk of variance q per step gives D = 2^octave q / 2, and adds q / 2 to the white
+    noise.
     """
     n = np.bincount(fit.tree.octave, minlength=len(between))[1:]
     rate = between[1:] / 2.0**np.arange(1, len(between))[:, None]
     of_walk = (n[:, None] * rate).sum(axis=0) / max(n.sum(), 1)
     white = np.maximum(fit.noise.white - of_walk, 0.0)
     way = np.linalg.norm(fit.drive.step_b, axis=1).mean()
-    # The white noise is of a pair of poses; that of each sensor has half of the variance.
+    # The white noise is of a pair of poses; each sensor has half of its variance.
     return np.sqrt(white / 2), np.sqrt(2 * of_walk / max(way, 1e-12))
 
 
-def _apart(fit: Fit, between: FloatArray) -> tuple[tuple[float, float, float], ...]:
-    """Return by octave the seconds of a motion, and the deviations of what two differ by.
+def _noise_by_lag(fit: Fit, between: FloatArray) -> tuple[tuple[float, float, float], ...]:
+    """Return by octave the lag (s) and the standard deviations of motion differences (m, rad).
 
-    Two poses have white noise each, and worlds that differ by the noise of all octaves up to
-    theirs. Student's t with nu degrees of freedom has nu / (nu - 2) times the variance of its
-    scale.
+    A motion has the white noise of two poses and the noise between worlds of all octaves up to its
+    own. Student's t with nu degrees of freedom has nu / (nu - 2) times the variance of its scale.
     """
     tail = fit.noise.tail
     variance = tail / (tail - 2.0) * (2 * fit.noise.white + np.cumsum(between, axis=0))
@@ -114,12 +114,12 @@ def _jumps(fit: Fit, stamps_ns: NDArray[np.int64]) -> tuple[Jump, ...]:
 
 
 def findings_of(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
-    """Put into sentences what a person should know of the data."""
+    """Return the findings of a diagnosis."""
     return (*_of_scale(diagnosis), *_of_times(diagnosis), *_of_drift(diagnosis),
             *_of_jumps(diagnosis, start_ns))
 
 
-def _proven(value: float, deviation: float | None, smallest: float) -> bool:
+def _is_significant(value: float, deviation: float | None, smallest: float) -> bool:
     return deviation is not None and abs(value) > max(_SIGNIFICANT * deviation, smallest)
 
 
@@ -131,7 +131,7 @@ def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
         return (Finding(
             'scale-unit', 'b is in another unit of length: its positions were multiplied by '
             f'{scale:.4g}{known}', {'scale': scale}),)
-    if not _proven(off, deviation, _SMALLEST_SCALE):
+    if not _is_significant(off, deviation, _SMALLEST_SCALE):
         return ()
     return (Finding(
         'scale', f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
@@ -141,12 +141,12 @@ def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     found = []
     offset, deviation = diagnosis.time_offset_s, diagnosis.time_offset_deviation_s
-    if deviation is not None and _proven(offset, deviation, _SMALLEST_TIME_S):
+    if deviation is not None and _is_significant(offset, deviation, _SMALLEST_TIME_S):
         found.append(Finding(
             'clock-offset', f'remaining clock offset {1e3 * offset:+.1f} ms (+- '
             f'{1e3 * deviation:.1f} ms) added to the stamps of b', {'offset_s': offset}))
     latency, deviation = diagnosis.latency_s, diagnosis.latency_deviation_s
-    if _proven(latency, deviation, _SMALLEST_LATENCY_S):
+    if _is_significant(latency, deviation, _SMALLEST_LATENCY_S):
         which = 'b' if latency > 0 else 'a'
         found.append(Finding(
             'position-latency', f'the position of {which} is older than its orientation by '
@@ -158,7 +158,7 @@ def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     drift, deviations = diagnosis.systematic_drift, diagnosis.systematic_drift_deviation
     named = [] if deviations is None else [
-        k for k in range(3) if _proven(drift[k], deviations[k], _SMALLEST_DRIFT)]
+        k for k in range(3) if _is_significant(drift[k], deviations[k], _SMALLEST_DRIFT)]
     if not named:
         return ()
     shares, axes = (' and '.join(words) for words in (
@@ -169,7 +169,7 @@ def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 
 
 def _size(value: float) -> str:
-    # What rounding leaves of a component that did not jump is 0.
+    # Rounding of a component without a jump is 0.
     return rounded(round(value, 6))
 
 

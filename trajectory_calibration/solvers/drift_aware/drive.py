@@ -1,24 +1,23 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Two trajectories, and what is steadily wrong with them: the mean of the model.
+"""Two trajectories and their systematic errors: the mean of the model.
 
-All that enters is relative to the first pose of each sensor, so that neither world matters.
-``terms`` are what may be steadily wrong, every one always in the model (``TERMS``):
+All poses are relative to the first pose of each sensor, so the world frames do not matter. The
+systematic errors are always in the model (``TERMS``):
 
 ====================  =====  ==========================================================
 term                  prior  meaning
 ====================  =====  ==========================================================
 scale                 1 %    log of metres of a per metre of b
-drift x, y, z         0.2 %  metres that b truly moves less per metre, along its axes
-latency               5 ms   the position of b is older than its attitude by this
+drift x, y, z         0.2 %  true minus reported position of b, per metre, along its axes
+latency               5 ms   delay of the position of b relative to its orientation
 clock offset          5 ms   added to the stamps of b
 ====================  =====  ==========================================================
 
-The priors are Cauchy distributions of that half width: what good sensors do, with tails that
-reach a wheel odometry of 5 % where the data insist. Sources: scale and drift per metre of the
-odometry tables of KITTI (A. Geiger, P. Lenz, R. Urtasun, CVPR 2012,
-doi:10.1109/CVPR.2012.6248074: 0.2 to 1 % per metre, mostly along the way); latencies of
-loosely coupled filters and of stamps at arrival, 5 to 100 ms.
+The priors are Cauchy distributions with that half width: typical for good sensors, with tails that
+allow a wheel odometry of 5 %. Sources: scale and drift from the KITTI odometry tables (A. Geiger,
+P. Lenz, R. Urtasun, CVPR 2012, doi:10.1109/CVPR.2012.6248074: 0.2 to 1 %, mostly along the path);
+latencies of loosely coupled filters and of stamps at reception, 5 to 100 ms.
 """
 
 from __future__ import annotations
@@ -46,16 +45,15 @@ SCALE, DRIFT, LATENCY, OFFSET = 6, slice(7, 10), 10, 11
 TERMS = {'scale': slice(6, 7), 'systematic_drift': DRIFT, 'time_offset': slice(11, 12)}
 HALF_WIDTH = np.array([0.01, 0.002, 0.002, 0.002, 0.005, 0.005])
 
-# Of the extrinsic next to nothing is known beforehand: a kilometre, and any angle. It keeps
-# directions that the motion leaves unobserved finite, and says so in the covariance.
+# A very weak prior of the extrinsic, a kilometre and any angle: unobservable directions stay
+# finite and have a large covariance.
 _OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
 
-# A stop of the stamps longer than this, and than five usual steps, is a gap: nothing is known of
-# what happened in it.
+# A step longer than this and than five median steps is a gap, with unknown motion.
 _GAP_S = 1.0
 _GAP_STEPS = 5
 
-# Accelerations are told over this time before and after, seconds: closer poses would tell noise.
+# Accelerations are differences over this time (seconds) before and after: shorter is noise.
 _ACCELERATION_S = 0.2
 
 
@@ -76,17 +74,18 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Poses of both sensors at common times.
+    """The poses of both sensors at common times.
 
     Attributes
     ----------
     times : (N,) seconds from the first.
-    R_a, p_a, R_b, p_b : (N, 3, 3) attitudes and (N, 3) positions about the first, in the worlds.
-    step_b : (N - 1, 3) the way of b from pose to pose, in its own axes before it.
-    axes_b : (N - 1, 3, 3) the mean attitude of b on the way of each step.
-    velocity_b, acceleration_b : (N, 3) of b in its world, m/s and m/s^2; zero beside gaps.
-    twist_a : (N, 6) of a in its own axes, m/s and rad/s; zero beside gaps.
-    gap : (N - 1,) bool, whether nothing is known of a step.
+    R_a, p_a, R_b, p_b : (N, 3, 3) rotations and (N, 3) positions relative to the first, in the
+        world of each sensor.
+    step_b : (N - 1, 3) translation of b in each step, in its own axes before the step.
+    axes_b : (N - 1, 3, 3) mean rotation matrix of b during each step.
+    velocity_b, acceleration_b : (N, 3) of b in its world, m/s and m/s^2; zero at gaps.
+    twist_a : (N, 6) of a in its own axes, m/s and rad/s; zero at gaps.
+    gap : (N - 1,) bool, whether a step is a gap.
 
     """
 
@@ -107,12 +106,12 @@ class Drive:
 
     @property
     def step_s(self) -> float:
-        """Return the usual time between two poses, seconds."""
+        """Return the median time between two poses, seconds."""
         return float(np.median(np.diff(self.times)))
 
     @classmethod
     def of(cls, pairs: PosePairs, every: int = 1) -> Drive:
-        """Return what the solver needs of every so many pose pairs."""
+        """Return the drive of every k-th pose pair, k = ``every``."""
         starts = np.arange(0, len(pairs), every)
         axes_b = np.add.reduceat(pairs.poses_b[:, :3, :3], starts)[:-1] / every
         pairs = pairs.thinned(every)
@@ -146,7 +145,7 @@ class Drive:
 def _accelerations(
     times: FloatArray, positions: FloatArray, gap: NDArray[np.bool_],
 ) -> FloatArray:
-    """Return (N, 3), zero at the ends and beside gaps."""
+    """Return (N, 3) accelerations, zero at the ends and at gaps."""
     k = int(np.ceil(_ACCELERATION_S / np.median(np.diff(times))))
     result = np.zeros_like(positions)
     if len(times) > 2 * k:
@@ -159,14 +158,14 @@ def _accelerations(
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Both trajectories at a state.
+    """Both trajectories, corrected by a state.
 
     Attributes
     ----------
-    R_ax, p_ax : (N, 3, 3), (N, 3) the pose of b in the world of a, as a tells it.
-    by_offset : (N, 6) its twist per second of clock offset, in the axes of b.
-    p_b : (N, 3) the position of b in its own world, corrected by the terms.
-    by_terms : (N, 3, 5) its derivatives in scale, drift and latency.
+    R_ax, p_ax : (N, 3, 3), (N, 3) pose of b in the world of a, from the poses of a.
+    by_offset : (N, 6) its derivative by the clock offset, a twist in the axes of b.
+    p_b : (N, 3) position of b in its own world, corrected by the terms.
+    by_terms : (N, 3, 5) its derivatives by scale, drift and latency.
 
     """
 
@@ -178,7 +177,7 @@ class Corrected:
 
 
 def correct(drive: Drive, state: State) -> Corrected:
-    """Return both trajectories at a state."""
+    """Return both trajectories corrected by a state."""
     R_x, t_x = state.T_a_b[:3, :3], state.T_a_b[:3, 3]
     scale, drift, latency, offset = (
         np.exp(state.terms[0]), state.terms[1:4], state.terms[4], state.terms[5])
@@ -201,21 +200,20 @@ def correct(drive: Drive, state: State) -> Corrected:
 
 
 def twists_b(drive: Drive, T_a_b: FloatArray) -> FloatArray:
-    """Return (N, 6) the twists of b in its own axes, as those of a tell them, m/s and rad/s."""
+    """Return the (N, 6) twists of b in its own axes from those of a, m/s and rad/s."""
     R, t = T_a_b[:3, :3], T_a_b[:3, 3]
     result: FloatArray = drive.twist_a @ np.block([[R, np.zeros((3, 3))], [skew(t) @ R, R]])
     return result
 
 
 def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:
-    """Return (N, 3, 3): the integral of the axes of b over the way it truly moved.
+    """Return (N, 3, 3): the integral of the rotation matrix of b over the true path length.
 
-    A step m of b, truly l long, was reported ``m = truth - l drift``: l is the root of
-    ``|m + l drift| = l``.
+    A step of true length l is reported as ``m = truth - l drift``, so ``|m + l drift| = l``.
     """
     m = scale * drive.step_b
-    along, rest = m @ drift, 1.0 - drift @ drift
-    length = (np.sqrt(along**2 + rest * np.einsum('ni,ni->n', m, m)) + along) / rest
+    along, factor = m @ drift, 1.0 - drift @ drift
+    length = (np.sqrt(along**2 + factor * np.einsum('ni,ni->n', m, m)) + along) / factor
     result = np.zeros((len(drive), 3, 3))
     np.cumsum(length[:, None, None] * drive.axes_b, axis=0, out=result[1:])
     return result
@@ -224,22 +222,23 @@ def _drifted(drive: Drive, scale: float, drift: FloatArray) -> FloatArray:
 def residuals(
     drive: Drive, at: Corrected, i: NDArray[np.intp], j: NDArray[np.intp],
 ) -> FloatArray:
-    """Return (M, 6) by how much the sensors disagree on the motion from i to j, at j of b.
+    """Return the (M, 6) residuals of the motions from poses i to j: translation, rotation.
 
-    Rotation: of ``(A X)^-1 (A X) ...`` against B; translation in the axes of b at i.
+    The motion of b minus that of a carried to b. Translation in the axes of b at i, rotation in
+    those of b at j.
     """
     back_a, back_b = transposed(at.R_ax[i]), transposed(drive.R_b[i])
-    turn = transposed(back_a @ at.R_ax[j]) @ (back_b @ drive.R_b[j])
+    rotation = transposed(back_a @ at.R_ax[j]) @ (back_b @ drive.R_b[j])
     moved = apply(back_b, at.p_b[j] - at.p_b[i]) - apply(back_a, at.p_ax[j] - at.p_ax[i])
-    return np.c_[moved, log(turn)]
+    return np.c_[moved, log(rotation)]
 
 
 def prior_precision(terms: FloatArray, modes: Mapping[str, str]) -> FloatArray:
-    """Return (12,) the curvature of the priors where a Cauchy is replaced by its majorant.
+    """Return the (12,) curvatures of the majorants of the priors at the present terms.
 
-    ``-2 log p = 2 log(1 + x^2 / g^2)`` lies below the parabola of curvature ``2 / (g^2 + x^2)``
-    that touches it at x: iterating on it descends. A term that is to be estimated freely has
-    none, one that is fixed an infinite one.
+    The Cauchy cost ``2 log(1 + x^2 / g^2)`` is below the parabola of curvature
+    ``2 / (g^2 + x^2)`` that touches it at x, so iterating on parabolas descends. The curvature is
+    zero for 'estimate' and infinite for 'fixed'.
     """
     precision = np.concatenate([_OF_EXTRINSIC, 2.0 / (HALF_WIDTH**2 + terms**2)])
     for name, columns in TERMS.items():

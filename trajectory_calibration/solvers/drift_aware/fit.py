@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Extrinsic, terms and noise together: rounds of Gauss-Newton, Fisher scoring and jumps."""
+"""Joint estimation: Gauss-Newton for extrinsic and terms, Fisher scoring for the noise, jumps."""
 
 from __future__ import annotations
 
@@ -26,41 +26,41 @@ from trajectory_calibration.solvers.drift_aware.spread import inflation
 from trajectory_calibration.solvers.drift_aware.tree import contrast, Contrasts, Plan, plan
 from trajectory_calibration.solvers.drift_aware.variances import first_noise, improved
 
-# Rounds in which jumps and the tails are looked for, in which rho is found, and the most there
-# are: later ones only settle.
+# Rounds in which jumps are detected, the tail is estimated, and rho is estimated; largest number
+# of rounds.
 _JUMP_ROUNDS = 3
 _TAIL_ROUNDS = (2, 4, 6)
 _FIRST_RHO, _LAST_RHO = 2, 6
 _MOST_ROUNDS = 16
-# The same where a fit to fewer poses came before.
+# The last round for rho after a coarse fit.
 _LAST_RHO_AGAIN = 3
 
-# A step that small, in standard deviations, is none; one that large at the end is a finding.
+# Steps (in standard deviations) at which the fit has converged, and from which there is a finding.
 _SETTLED = 0.05
 _UNSETTLED = 0.3
 
-# No step turns further, radians.
-_LARGEST_TURN = 0.3
+# Largest rotation of a step, radians.
+_LARGEST_ROTATION = 0.3
 
-# rho before it is known.
+# Initial value of rho.
 _FIRST_GUESS = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A state, and all that the last round was made of.
+    """A state, with all quantities of the last round.
 
     Attributes
     ----------
-    drive, state, noise, tree, contrasts, weights, octaves : what they say.
-    jumps : (N - 1, 2) the variance of jumps in translation and rotation, zero where there is none.
-    rho : the saturation.
-    c : (o,) the weight of each octave.
-    phi : by how much the combined score varies more than its information says.
-    prior : (12,) precisions.
+    drive, state, noise, tree, contrasts, weights, octaves : see their classes.
+    jumps : (N - 1, 2) variances of jumps in translation and rotation, zero without a jump.
+    rho : correlation of the noise with the motion, which saturates the information.
+    c : (o,) weight of each octave.
+    phi : ratio of the scatter of the combined score to its information.
+    prior : (12,) precisions of the priors.
     free : (12,) bool, parameters that are not fixed.
-    rounds : how many it took.
-    last_step : of the last one, in standard deviations.
+    rounds : number of rounds.
+    last_step : length of the last step, in standard deviations.
 
     """
 
@@ -82,7 +82,7 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Tell whether the last step was small."""
+        """Return whether the last step was small."""
         return self.last_step < _UNSETTLED
 
     @property
@@ -97,10 +97,10 @@ def fit(
     drive: Drive, state: State, modes: Mapping[str, str], before: Fit | None = None,
     most_rounds: int | None = None,
 ) -> Fit:
-    """Return the most likely state from a start.
+    """Return the maximum-likelihood fit from a start.
 
-    ``modes`` says 'fixed', 'estimate' or 'auto' for 'scale', 'systematic_drift', 'time_offset';
-    ``before`` is a fit to some of the poses that led to the start.
+    ``modes`` maps 'scale', 'systematic_drift' and 'time_offset' to 'fixed', 'estimate' or 'auto'.
+    ``before`` is the coarse fit that gave the start.
     """
     rho = _FIRST_GUESS if before is None else before.rho
     last_rho = _LAST_RHO if before is None else _LAST_RHO_AGAIN
@@ -111,7 +111,7 @@ def fit(
     weights = np.ones(len(tree.octave))
     noise = first_noise(drive, state, tree.octaves, cut)
     if before is not None:
-        noise = _carried(noise, before, drive)
+        noise = _from_coarse(noise, before, drive)
     for round_ in range(most_rounds or _MOST_ROUNDS):
         if 0 < round_ < _JUMP_ROUNDS:
             jumps = _breaks(drive, state)
@@ -142,27 +142,27 @@ def fit(
                      prior, free, round_ + 1, float(np.sqrt(abs(step @ A @ step))))
         if round_ > last_rho and result.last_step < _SETTLED:
             break
-        turn = float(np.linalg.norm(step[ROTATION]))
-        state = state.moved(step * min(1.0, _LARGEST_TURN / max(turn, 1e-300)))
+        angle = float(np.linalg.norm(step[ROTATION]))
+        state = state.moved(step * min(1.0, _LARGEST_ROTATION / max(angle, 1e-300)))
         noise = improved(noise, drive, state, tree, found, weights, cut,
                          octaves.normal + np.diag(prior))
     return result
 
 
-def _carried(noise: Noise, before: Fit, drive: Drive) -> Noise:
-    """Return the noise of poses, with what a fit to every k-th found between worlds."""
+def _from_coarse(noise: Noise, before: Fit, drive: Drive) -> Noise:
+    """Return the initial noise, with the noise between worlds from the coarse fit."""
     shift = round(np.log2((len(drive) - 1) / (len(before.drive) - 1)))
-    carried = before.noise.refined(shift).resized(len(noise.walk))
-    return replace(carried, white=noise.white, stamps=noise.stamps)
+    coarse = before.noise.refined(shift).resized(len(noise.walk))
+    return replace(coarse, white=noise.white, stamps=noise.stamps)
 
 
 def _cuts(jumps: FloatArray) -> NDArray[np.bool_]:
-    """Return (N - 1,) whether there is a jump of either kind."""
+    """Return (N - 1,) whether a step has a jump."""
     return np.asarray((jumps > 0).any(axis=1), dtype=np.bool_)
 
 
 def _breaks(drive: Drive, state: State) -> FloatArray:
-    """Return (N - 1, 2) the variances of jumps; a gap is one of whatever size may be."""
+    """Return the (N - 1, 2) variances of jumps; a gap is a jump of any size."""
     jumps = find_jumps(drive, correct(drive, state))
     extent = float(np.linalg.norm(drive.p_b, axis=1).max())
     jumps[drive.gap] = [extent**2 + 1e-12, np.pi**2]

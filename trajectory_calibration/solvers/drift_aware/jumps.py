@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Pose jumps: steps that no tail of the noise explains.
+"""Pose jumps: steps that the tail of the noise does not explain.
 
-The squares of all steps are a mixture of a Student core, whose tail is found with it, and a wide
-normal distribution. Heavy tails of real odometry raise no jump; a gap between the core and a few
-large steps does. A jump must show over one step and over three: a single bad pose is no jump.
+The residuals of all steps are a mixture of a Student core, with an estimated tail, and a wide
+normal distribution. Heavy tails of real odometry are no jumps; steps far beyond the core are. A
+jump must show over one step and over three: a single bad pose is no jump.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from trajectory_calibration.solvers.drift_aware.student import log_gamma
 # A step is a jump from this probability on.
 _PROBABILITY = 0.9
 
-# Degrees of freedom that the core may have, once for each of the two starts.
+# Possible degrees of freedom of the core, once for each of the two starts.
 _TAILS = np.tile([2.0, 3.0, 5.0, 10.0, 100.0], 2)[:, None]
 _CONSTANT = (log_gamma((_TAILS + 3) / 2) - log_gamma(_TAILS / 2)
              - 1.5 * np.log(_TAILS * np.pi))
 
-# The squares are counted in so many classes of their logarithm, over so many decades.
-_CLASSES = 100
+# Histogram of the logarithms of the squares: number of bins, and smallest ratio to the largest.
+_BINS = 100
 _DECADES = 1e-16
 _ITERATIONS = 30
 
-# The wide component is at least this many times as wide (variance), the share of jumps limited.
+# Smallest ratio of the variances of the wide component and the core; largest share of jumps.
 _WIDER = 25.0
 _LARGEST_SHARE = 0.6
 
 
 def find_jumps(drive: Drive, at: Corrected) -> FloatArray:
-    """Return (N - 1, 2): the variance per axis of jumps in translation and rotation, or zero."""
+    """Return the (N - 1, 2) variances per axis of jumps in translation and rotation, or zero."""
     last = len(drive) - 1
     i = np.arange(last)
     short, variance = jump_probability(_squares(residuals(drive, at, i, i + 1)))
@@ -49,33 +49,33 @@ def find_jumps(drive: Drive, at: Corrected) -> FloatArray:
 
 
 def _squares(e: FloatArray) -> FloatArray:
-    """Return (2, n): the squared lengths of translation and rotation of (n, 6)."""
+    """Return the (2, n) squared lengths of translation and rotation of (n, 6) residuals."""
     return np.stack([np.einsum('ni,ni->n', e[:, part], e[:, part])
                      for part in (TRANSLATION, ROTATION)])
 
 
 def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (k, n) the probabilities that lengths of 3-vectors, squared, are jumps.
+    """Return the (k, n) probabilities of jumps, for (k, n) squared lengths of 3-vectors.
 
-    Also the (k,) variances per axis of jumps. Expectation maximisation over all tails of the core
-    of all k rows at once; the likelihood chooses.
+    Also the (k,) variances per axis of the jumps. Expectation maximisation for all tails of the
+    core and all k rows at once; the likelihood chooses.
     """
     largest = squares.max(axis=1, keepdims=True)
     logs = np.log(np.maximum(squares, np.maximum(_DECADES * largest, 1e-300)))
     lowest = logs.min(axis=1, keepdims=True)
-    width = np.maximum((logs.max(axis=1, keepdims=True) - lowest) / _CLASSES, 1e-9)
-    of = np.minimum(((logs - lowest) / width).astype(np.intp), _CLASSES - 1)
-    counts = np.stack([np.bincount(row, minlength=_CLASSES) for row in of]).astype(np.float64)
-    # (k, 1, classes); what is found is (k, tails, 1).
-    r = np.exp(lowest + width * (np.arange(_CLASSES) + 0.5))[:, None]
-    # Sums over the classes: of how many, and of their squares.
+    width = np.maximum((logs.max(axis=1, keepdims=True) - lowest) / _BINS, 1e-9)
+    of = np.minimum(((logs - lowest) / width).astype(np.intp), _BINS - 1)
+    counts = np.stack([np.bincount(row, minlength=_BINS) for row in of]).astype(np.float64)
+    # (k, 1, bins); the estimates below are (k, tails, 1).
+    r = np.exp(lowest + width * (np.arange(_BINS) + 0.5))[:, None]
+    # Columns for sums over the bins: counts, and sums of squares.
     sums = np.stack([counts, counts * r[:, 0]], axis=2)
     total = counts.sum(axis=1)[:, None, None]
     first = np.take_along_axis(r[:, 0], (counts > 0).argmax(axis=1)[:, None], axis=1)
     core = np.maximum(np.median(squares, axis=1)[:, None] / 2.4, first)
     core = np.repeat(core[:, None], len(_TAILS), axis=1)
-    # A normal that begins narrow never reaches one step that is far beyond all others; one that
-    # begins wide may take in too few. The likelihood chooses here, too.
+    # A wide component that starts narrow never reaches a single step far beyond all others; one
+    # that starts wide may miss smaller jumps. The likelihood chooses between both starts.
     starts = np.stack([np.quantile(squares, 0.98, axis=1), largest[:, 0]], axis=1) / 3
     wide = np.maximum(np.repeat(starts, len(_TAILS) // 2, axis=1)[:, :, None], _WIDER * core)
     share = np.full_like(core, 0.05)
@@ -94,6 +94,6 @@ def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
         wide = np.maximum(of_jumps / 3 / (jumps + 1e-12), _WIDER * core)
     best = (np.logaddexp(narrow, jump) @ sums[:, :, :1])[:, :, 0].argmax(axis=1)
     row = np.arange(len(squares))
-    # The wide normal is the denser of the two also where both vanish, close to zero.
-    of_class = probability[row, best] * (r[:, 0] > 9 * core[row, best])
-    return np.take_along_axis(of_class, of, axis=1), wide[row, best, 0]
+    # Near zero, where both vanish, the wide component is the denser one.
+    of_bin = probability[row, best] * (r[:, 0] > 9 * core[row, best])
+    return np.take_along_axis(of_bin, of, axis=1), wide[row, best, 0]

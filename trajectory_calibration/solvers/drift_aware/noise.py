@@ -1,11 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of a drive: of poses, and of the worlds of its windows.
+"""The noise of a drive: of poses, and between the world frames of windows.
 
-White noise of a pose is half on each sensor. What its stamps are off by is noise too, along the
-twist. Between the worlds of neighbouring windows there is noise of each octave. And the scale of
-a sensor is not only off but varies on the way: worlds differ in it too, which is noise along the
-distance moved.
+The white noise of a pose is split equally between the sensors. Noise of its stamp acts along the
+twist. The world frames of neighbouring windows differ by noise of each octave, and by a change of
+scale, which acts along the distance moved.
 """
 
 from __future__ import annotations
@@ -34,10 +33,10 @@ class Noise:
     Attributes
     ----------
     white : (2,) of a pose, both sensors together, per axis.
-    stamps : of the stamps of a pose, s^2.
-    walk : (octaves, 2) between the worlds of neighbouring windows.
-    scale : of the log scale between the worlds of neighbouring windows, octave 1.
-    tail : degrees of freedom of the contrasts.
+    stamps : of the stamp of a pose, s^2.
+    walk : (octaves, 2) between the worlds of neighbouring windows, per axis.
+    scale : of the log scale between the worlds of neighbouring windows of octave 1.
+    tail : degrees of freedom of Student's t for the contrasts.
 
     """
 
@@ -48,30 +47,30 @@ class Noise:
     tail: float
 
     def resized(self, octaves: int) -> Noise:
-        """Return the noise for so many octaves, at least; the last one goes on."""
+        """Return the noise for at least so many octaves; the last one is repeated."""
         more = octaves - len(self.walk)
         return self if more <= 0 else replace(self, walk=np.concatenate(
             [self.walk, np.repeat(self.walk[-1:], more, axis=0)]))
 
     def refined(self, octaves: int) -> Noise:
-        """Return the noise between worlds where that many octaves are added below."""
+        """Return the noise with so many shorter octaves added below."""
         below = self.walk[1:2] / 2.0**np.arange(octaves, 0, -1)[:, None]
         return replace(self, walk=np.concatenate([0 * self.walk[:1], below, self.walk[1:]]),
                        scale=self.scale / GROWTH**octaves)
 
     def of_poses(self, T_a_b: FloatArray, twists: FloatArray) -> FloatArray:
-        """Return (N, 6, 6) in the axes of b, of poses with (N, 6) twists."""
+        """Return the (N, 6, 6) covariances of poses with (N, 6) twists, in the axes of b."""
         result: FloatArray = np.tensordot(self.white, units(T_a_b), axes=1) + along(
             np.sqrt(self.stamps) * twists)
         return result
 
     def of_scale(self, octaves: int) -> FloatArray:
-        """Return (octaves,) the variances of the log scale between worlds."""
+        """Return the (octaves,) variances of the log scale between worlds."""
         return self.scale * scale_growth(octaves)
 
 
 def scale_growth(octaves: int) -> FloatArray:
-    """Return (octaves,) the variance of the scale over that of octave 1; poses have none."""
+    """Return the (octaves,) variances of the scale relative to octave 1; zero for poses."""
     k = np.arange(octaves)
     return np.where(k > 0, GROWTH**(k - 1.0), 0.0)
 
@@ -82,9 +81,9 @@ def along(directions: FloatArray) -> FloatArray:
 
 
 def units(T_a_b: FloatArray) -> FloatArray:
-    """Return (2, 6, 6): half of a unit of variance on each sensor, in the axes of b.
+    """Return (2, 6, 6): unit variance of translation or rotation, half on each sensor.
 
-    The half of a reaches b through the lever arm: ``Ad(X^-1) S Ad(X^-1)'``.
+    In the axes of b; that of a is carried over the lever arm: ``Ad(X^-1) S Ad(X^-1)'``.
     """
     Ad = adjoint_of_inverse(T_a_b[None, :3, :3], T_a_b[None, :3, 3])[0]
     result = np.zeros((2, 6, 6))

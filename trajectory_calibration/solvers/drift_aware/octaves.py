@@ -1,19 +1,19 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What each octave tells of the parameters, and how much of it to believe.
+"""Scores and information of each octave, saturated by noise that is correlated with the motion.
 
-The noise of SLAM at short times is no white noise: smoothing, deskewing and delays correlate it
-with the motion itself, with a coefficient up to rho. It then biases an octave of n contrasts by
-rho sqrt(n) of its own deviations, however many contrasts there are. The score s of an octave has
-the covariance ``H (1 + n rho^2)``, and its information saturates at ``H / (n rho^2)``:
+SLAM noise at short times is not white: smoothing, deskewing and delays correlate it with the
+motion, with a coefficient up to rho. This biases an octave of n contrasts by rho sqrt(n) standard
+deviations. The score s of an octave has the covariance ``H (1 + n rho^2)``, and its information
+saturates at ``H / (n rho^2)``:
 
     sum over octaves of  c Q s = 0,    c = 1 / (1 + n rho^2).
 
-rho belongs to the pair, and how far the octaves contradict each other tells it: it maximises a
-restricted likelihood of the scores under a log-normal prior about 0.2.
+rho is estimated for each pair from the disagreement of the octaves: by a restricted likelihood of
+the scores with a log-normal prior about 0.2.
 
-``Q = H~ H^-1`` takes out of the normal matrix H what noise in the regressors alone makes of it
-(errors in variables): H~, the sensitivity of the score, is what the motion excites.
+``Q = H~ H^-1`` corrects the normal matrix H for noise in the regressors (errors in variables): H~,
+the sensitivity of the score, is the excitation by the motion alone.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from trajectory_calibration.solvers.drift_aware.algebra import (
 from trajectory_calibration.solvers.drift_aware.drive import LATENCY, OFFSET, PARAMETERS, SCALE
 from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
-# The prior of rho: its median, and the deviation of its logarithm. VIO and stereo SLAM have 0.03
-# to 0.1, lidar odometry against GNSS 0.2 to 0.35.
+# The prior of rho: its median, and the standard deviation of its logarithm. Measured: 0.03 to 0.1
+# for VIO and stereo SLAM, 0.2 to 0.35 for lidar odometry against GNSS.
 _MEDIAN, _SPREAD = 0.2, 0.8
 _GRID = np.geomspace(0.002, 1.0, 40)
 
-# Directions that an octave sees this much less than others, each at its own size, are none.
+# Directions of an octave with a smaller share of the information are ignored.
 _RELATIVE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Octaves:
-    """The scores of all octaves, those without contrasts left out.
+    """Scores and information of all octaves that have contrasts.
 
     Attributes
     ----------
-    n : (o,) contrasts.
-    score : (o, 12) sum of ``J' V^-1 d``, weighted.
-    each : (n, 12) of every contrast, in the order of the plan.
-    Q : (o, 12, 12), what of a score is no noise.
-    A : (o, 12, 12), ``H~ H^-1 H~``, the information of an octave.
-    squares : (o,) ``s' H^-1 s``, each direction by its share of signal.
-    rank : (o,) the sum of these shares.
-    normal : (12, 12) the sum of H.
+    n : (o,) number of contrasts.
+    score : (o, 12) weighted sum of ``J' V^-1 d``.
+    each : (n, 12) the terms of that sum, in the order of the plan.
+    Q : (o, 12, 12) correction of the scores for noise in the regressors.
+    A : (o, 12, 12) ``H~ H^-1 H~``, the information.
+    squares : (o,) ``s' H^-1 s``, each direction weighted by its share of signal.
+    rank : (o,) sum of these shares.
+    normal : (12, 12) sum of H over the octaves.
 
     """
 
@@ -68,21 +68,21 @@ class Octaves:
     normal: FloatArray
 
     def weights(self, rho: float) -> FloatArray:
-        """Return (o,) c."""
+        """Return the (o,) weights c for a rho."""
         return 1.0 / (1.0 + self.n * rho**2)
 
     def information(self, c: FloatArray) -> FloatArray:
-        """Return (12, 12), the derivative of the combined score."""
+        """Return the (12, 12) information, the derivative of the combined score."""
         return np.tensordot(c, self.A, axes=1)
 
     def combined(self, c: FloatArray) -> FloatArray:
-        """Return (12,), the combined score."""
+        """Return the (12,) combined score."""
         result: FloatArray = (c[:, None] * apply(self.Q, self.score)).sum(axis=0)
         return result
 
 
 def scores(tree: Plan, found: Contrasts, weights: FloatArray, step_s: float) -> Octaves:
-    """Sum up what the contrasts of each octave tell; poses are ``step_s`` apart."""
+    """Sum the scores and the information of each octave; poses are ``step_s`` apart."""
     whitened = weights[:, None, None] * (found.inverse @ found.J)
     each = np.einsum('nij,ni->nj', whitened, found.d)
     H = np.stack([whitened[part].reshape(-1, PARAMETERS).T @ found.J[part].reshape(-1, PARAMETERS)
@@ -117,11 +117,11 @@ def scores(tree: Plan, found: Contrasts, weights: FloatArray, step_s: float) -> 
 def _from_regressors(
     found: Contrasts, weights: FloatArray, length_s: FloatArray, step_s: float,
 ) -> FloatArray:
-    """Return (n, 12), the diagonal of H that noise in the poses makes without any motion.
+    """Return the (n, 12) contribution of pose noise to the diagonal of H.
 
-    Half of the noise of a contrast is of b, and turns and shifts the axes that J is told in. The
-    velocities by which latency and clock offset act are differences of noisy poses: their mean
-    over a window of ``length_s`` is the noise of its ends over that time.
+    Half of the noise of a contrast is of b, and moves the axes in which J is expressed. The
+    velocities in the columns of latency and clock offset are differences of noisy poses: over a
+    window of ``length_s`` their noise is that of its ends divided by that time.
     """
     V, inverse = ([np.einsum('nii->n', M[:, part, part]) / 3 for part in
                    (TRANSLATION, ROTATION)] for M in (found.V, found.inverse))
@@ -136,14 +136,14 @@ def _from_regressors(
 
 
 def saturation(octaves: Octaves, prior: FloatArray, terms: FloatArray) -> float:
-    """Return rho: the root of the mean of its square over its posterior.
+    """Return rho, its root mean square over the posterior.
 
-    ``prior`` is (12,), the precisions of the priors, ``terms`` (12,) where they pull to zero from.
+    ``prior`` (12,) are the precisions of the priors, ``terms`` (12,) the present values.
     """
     v = 1.0 + octaves.n * _GRID[:, None]**2
     A = np.tensordot(1 / v, octaves.A, axes=1) + np.diag(prior)
     g = (1 / v) @ apply(octaves.Q, octaves.score) + prior * terms
-    # Columns that are fixed or that nothing tells do not count.
+    # Columns that are fixed or unobservable do not count.
     dial = 1 / np.sqrt(np.maximum(np.einsum('gii->gi', A), 1e-300))
     A = A * dial[:, :, None] * dial[:, None, :] + 1e-12 * np.eye(PARAMETERS)
     g = g * dial

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Drift-aware: maximum likelihood on a tree of worlds.
 
-Every other solver takes relative motions over a fixed lag: short ones drown in white noise, long
-ones in drift. Here windows of all lengths are compared at once (``tree``), the noise of every
-length is found beside the extrinsic (``noise``), jumps are named and bridged (``jumps``), what is
-steadily wrong is always in the model (``drive``), and no length is believed beyond what noise
-that follows the motion allows (``octaves``). The relative motions given to the solver are not
-used, only the pose pairs they were made from. docs/drift_aware/model.md has the derivation.
+Every other solver uses relative motions over a fixed lag: white noise dominates short ones, drift
+dominates long ones. Here windows of all lengths are compared at once (``tree``). The noise at each
+length is estimated with the extrinsic (``noise``), jumps are detected and bridged (``jumps``),
+systematic errors are always in the model (``drive``), and the information of a length saturates
+because its noise may be correlated with the motion (``octaves``). The solver uses the pose pairs,
+not the relative motions. docs/drift_aware/model.md has the derivation.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
 from trajectory_calibration.solvers.drift_aware.starts import start
 from trajectory_calibration.solvers.solution import Solution
 
-# Fewer pose pairs than this do not tell noise from extrinsic.
+# Fewer pose pairs cannot separate noise from the extrinsic.
 MIN_POSES = 10
 
-# Longer drives are thinned to about this many poses: what is left out would be believed no more.
-# But not to longer steps, seconds: a vehicle turns in that time, and windows begin with one step.
+# Longer drives are thinned to about this many poses: more would not increase the information,
+# which saturates. But steps stay below this many seconds: a vehicle turns in that time.
 _ENOUGH = 2000
 _LONGEST_STEP_S = 1.0
-# A fit to about this many poses comes first where there are more than twice as many.
+# With more than twice this many poses, a fit to about this many comes first.
 _COARSE = 400
 _COARSE_ROUNDS = 7
 
@@ -65,8 +65,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
 def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     """Return the most likely extrinsic of pose pairs.
 
-    ``terms`` says 'fixed', 'estimate' (no prior) or 'auto' for 'scale', 'systematic_drift' and
-    'time_offset'; raises as ``solve``. A scale that is not fixed is found whatever the unit.
+    ``terms`` maps 'scale', 'systematic_drift' and 'time_offset' to 'fixed', 'estimate' (no prior)
+    or 'auto'; raises as ``solve``. A scale that is not fixed may be far from one (other units).
     """
     if len(pairs) < MIN_POSES:
         raise SolverError(
@@ -74,7 +74,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
             'tell noise from motion; record longer or use dnl')
     _require_motion(pairs)
     every = _every(pairs)
-    # A start that diverges overflows on its way; it is discarded, or all of them are an error.
+    # A diverging start overflows; it is discarded, and if all diverge, that is an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
         found, unit = _fit(pairs, every, dict(terms))
         spread, cost = covariance(found), found.objective
@@ -96,14 +96,14 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
 
 
 def _every(pairs: PosePairs) -> int:
-    """Return k: every k-th pose pair is enough."""
+    """Return k such that every k-th pose pair is enough."""
     step_s = 1e-9 * float(np.median(np.diff(pairs.stamps_ns)))
     every = min(round(len(pairs) / _ENOUGH), int(_LONGEST_STEP_S / max(step_s, 1e-9)))
     return max(1, every)
 
 
 def in_parent_axes(covariance_b: FloatArray, T_a_b: FloatArray) -> FloatArray:
-    """Return the (6, 6) covariance of (dt, dtheta) about the axes of a, of one in those of b."""
+    """Convert the (6, 6) covariance of (dt, dtheta) from the axes of b to those of a."""
     G = np.zeros((6, 6))
     G[TRANSLATION, TRANSLATION] = G[ROTATION, ROTATION] = T_a_b[:3, :3]
     result: FloatArray = G @ covariance_b @ G.T
@@ -111,12 +111,12 @@ def in_parent_axes(covariance_b: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 
 def _fit(pairs: PosePairs, every: int, terms: dict[str, str]) -> tuple[Fit, float]:
-    """Return the fit, and the metres of a per unit of b: from few poses to all of them."""
+    """Return the fit, and the metres of a per unit of b; coarse to fine."""
     drive = Drive.of(pairs, every)
     coarse = Drive.of(pairs, every * max(1, len(drive) // _COARSE))
     state, unit = start(coarse, unit_is_known=terms['scale'] == 'fixed')
     if unit != 1.0:
-        # Only such a scale is free.
+        # Another unit is only possible if the scale is free.
         terms['scale'] = 'estimate'
     drive, coarse = drive.scaled(unit), coarse.scaled(unit)
     before = None
@@ -128,7 +128,7 @@ def _fit(pairs: PosePairs, every: int, terms: dict[str, str]) -> tuple[Fit, floa
 
 @contextmanager
 def _named_errors(pairs: PosePairs) -> Iterator[None]:
-    """Name what the algebra could not do: motion so degenerate that a matrix has no inverse."""
+    """Convert a singular matrix, from degenerate motion, to a named error."""
     try:
         yield
     except np.linalg.LinAlgError as error:
@@ -138,7 +138,7 @@ def _named_errors(pairs: PosePairs) -> Iterator[None]:
 
 
 def _unsettled(found: Fit) -> tuple[Finding, ...]:
-    """Return a finding where the fit ended at its limit of rounds."""
+    """Return a finding if the fit did not converge."""
     if found.converged:
         return ()
     return (Finding(
@@ -148,7 +148,7 @@ def _unsettled(found: Fit) -> tuple[Finding, ...]:
 
 
 def _require_motion(pairs: PosePairs) -> None:
-    """Raise MotionError where one of the sensors did not move at all, but for rounding."""
+    """Raise MotionError if one of the sensors did not move beyond rounding."""
     for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
         change = float(np.abs(poses - poses[0]).max())
         if change <= _NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):

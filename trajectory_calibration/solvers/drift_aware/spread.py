@@ -1,14 +1,15 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How much the answer varies: a sandwich over blocks of the drive, never less than the model.
+"""The scatter of the scores over blocks of the drive, for a sandwich covariance.
 
-The combined score is summed over 20, 10 and 5 blocks of time. Blocks see what contrasts do not:
-errors that go on for minutes. Their scatter, whitened by the information A, gives
+The combined score is summed over 20, 10 and 5 blocks of time. Blocks show errors that are
+correlated over minutes; contrasts do not. Their scatter, whitened by the information A, gives
 
-* its pooled size phi: one number, stable, for all directions, by which A is divided, and
-* the middle of the sandwich by direction, with phi as the floor of every eigenvalue;
+* phi, the mean over all directions: a stable number by which A is divided, and
+* the middle of the sandwich, with phi as the floor of every eigenvalue.
 
-both with ``sum c^2 A n rho^2``, what correlation with the motion may do and no block shows.
+Both include ``sum c^2 A n rho^2``, for noise that is correlated with the motion, which blocks do
+not show.
 
 H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50(1), 1982,
 doi:10.2307/1912526.
@@ -24,15 +25,15 @@ from trajectory_calibration.solvers.drift_aware.drive import Drive, PARAMETERS
 from trajectory_calibration.solvers.drift_aware.octaves import Octaves
 from trajectory_calibration.solvers.drift_aware.tree import Plan
 
-# The largest is a multiple of the others.
+# Numbers of blocks; the largest is a multiple of the others.
 BLOCKS = (20, 10, 5)
 
-# phi of data better than their model is not trusted below this.
+# Lower bound of phi.
 _LEAST = 0.3
 
 
 def whitener(A: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return W and its inverse with ``W' A W = 1``; where A says nothing, next to nothing."""
+    """Return W and its inverse with ``W' A W = 1``; almost zero where A has no information."""
     scale = np.sqrt(np.maximum(np.diag(A), 1e-300))
     values, vectors = np.linalg.eigh(A / np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, 1e-12))
@@ -62,7 +63,7 @@ def scatter(
 def inflation(
     drive: Drive, tree: Plan, octaves: Octaves, c: FloatArray, rho: float,
 ) -> float:
-    """Return phi."""
+    """Return phi, the mean scatter relative to the information."""
     W, _ = whitener(octaves.information(c))
     return max(_LEAST, *(float(np.trace(middle)) / PARAMETERS for middle in scatter(
         drive, tree, octaves, c, rho, W)))

@@ -1,11 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where to begin: robust answers over several lags, and the unit of b.
+"""The initial guess: robust extrinsics over several lags, and the unit of length of b.
 
 Each start aligns the rotation vectors of motions over one lag (G. Wahba, SIAM Review 7(3), 1965,
-doi:10.1137/1007077), turned about the main axis by quarters where all rotations share it, and is
-refined on the motions of that lag, rotation and translation jointly. The start that leaves the
-smallest median residuals over all lags wins: jumps and outliers do not decide.
+doi:10.1137/1007077) and is refined on the motions of that lag, rotation and translation jointly.
+If all rotations share an axis, four angles about it are tried. The start with the smallest median
+residuals over all lags wins, which is robust to jumps and outliers.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ _LAGS_S = (0.0, 1.0, 2.0, 4.0)
 _MOTIONS = 200
 _REWEIGHTINGS = 6
 
-# Residuals below this part of the motion are as good as none.
+# Residuals below this share of the motion are regarded as zero.
 _LEAST = 1e-4
 
-# Rotations share an axis where the second singular value is below this part of the first.
+# Rotations share an axis if the second singular value is below this share of the first.
 _ONE_AXIS = 0.05
 
-# Spreads that differ by less are of one unit; another unit must leave a quarter of
-# the residuals.
+# Another unit is tried if the spreads of both positions differ by more than this (log), and is
+# accepted if it reduces the residuals to this share.
 _SAME_UNIT = 0.3
 _BETTER = 0.25
 
 
 def start(drive: Drive, *, unit_is_known: bool) -> tuple[State, float]:
-    """Return a state to begin at, and the metres of a per unit of b, 1 unless they tell another.
+    """Return the initial state, and the metres of a per unit of b (1 if they have one unit).
 
-    A sensor on a long arm moves far where the other hardly does: the spread of the positions
-    only asks the question, and motions over long times must fit far better in the other unit.
+    The ratio of the position spreads suggests the unit. It is accepted only if the motions fit far
+    better, because a sensor on a long arm also has a larger spread.
     """
     best, cost = _best(drive)
     unit = 1.0 if unit_is_known else _ratio_of_spreads(drive)
@@ -74,18 +74,18 @@ class _Motions:
     t_b: FloatArray
 
     @cached_property
-    def usual(self) -> tuple[float, float]:
-        """Return the median way and turn of a."""
+    def typical(self) -> tuple[float, float]:
+        """Return the median translation and rotation of a."""
         return median(lengths(self.t_a)), median(lengths(log(self.R_a)))
 
     def residuals(self, T_a_b: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (M, 6) how far b is from a seen from b; the motion of a there: turn and way."""
+        """Return the (M, 6) residuals, and rotations and translations of a carried to b."""
         R, t = T_a_b[:3, :3], T_a_b[:3, 3]
-        turn = R.T @ self.R_a @ R
-        way = (self.R_a @ t + self.t_a - t) @ R
-        e = np.empty((len(way), 6))
-        e[:, TRANSLATION], e[:, ROTATION] = self.t_b - way, log(transposed(turn) @ self.R_b)
-        return e, turn, way
+        R_ab = R.T @ self.R_a @ R
+        t_ab = (self.R_a @ t + self.t_a - t) @ R
+        e = np.empty((len(t_ab), 6))
+        e[:, TRANSLATION], e[:, ROTATION] = self.t_b - t_ab, log(transposed(R_ab) @ self.R_b)
+        return e, R_ab, t_ab
 
 
 def _motions(drive: Drive, lag: int) -> _Motions:
@@ -113,7 +113,7 @@ def _poses(drive: Drive, seconds: float) -> int:
 
 
 def _misfit(T_a_b: FloatArray, motions: _Motions, size: float) -> float:
-    """Return the log of the median residuals, of both kinds; rounding counts as none."""
+    """Return the log of the product of both median residuals."""
     e, _, _ = motions.residuals(T_a_b)
     return float(np.log(median(lengths(e[:, TRANSLATION])) + 1e-9 * size)
                  + np.log(median(lengths(e[:, ROTATION])) + 1e-9))
@@ -126,10 +126,10 @@ def _candidate(motions: _Motions) -> FloatArray:
     for _ in range(_REWEIGHTINGS):
         U, values, Vt = np.linalg.svd((w[:, None] * of_a).T @ of_b)
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-        w = _trust(lengths(of_a - of_b @ R.T))
+        w = _cauchy_weights(lengths(of_a - of_b @ R.T))
     begun = [from_rotation_translation(R, np.zeros(3))]
     if values[1] < _ONE_AXIS * values[0]:
-        # What the rotations leave unobserved, the translations tell: by quarters first.
+        # The translations determine the angle about the axis: four starts.
         turns = exp(0.5 * np.pi * np.arange(4)[:, None] * U[:, 0])
         begun = [from_rotation_translation(turn @ R, np.zeros(3)) for turn in turns]
     begun = [_refined(T, motions, 1) for T in begun]
@@ -137,28 +137,28 @@ def _candidate(motions: _Motions) -> FloatArray:
     return _refined(best, motions, _REWEIGHTINGS)
 
 
-def _trust(sizes: FloatArray) -> FloatArray:
+def _cauchy_weights(sizes: FloatArray) -> FloatArray:
     """Return the Cauchy weights of residuals by their median."""
     return 1 / (1 + (sizes / (median(sizes) + 1e-12))**2)
 
 
 def _refined(T_a_b: FloatArray, motions: _Motions, rounds: int) -> FloatArray:
-    """Return the extrinsic nearby that fits the motions: robust Gauss-Newton."""
+    """Refine an extrinsic by robust Gauss-Newton."""
     state = State(T_a_b, np.zeros(6))
     for _ in range(rounds):
-        e, turn, way = motions.residuals(state.T_a_b)
+        e, R_ab, t_ab = motions.residuals(state.T_a_b)
         J = np.zeros((len(e), 6, 6))
-        J[:, TRANSLATION, TRANSLATION] = np.eye(3) - turn
-        J[:, TRANSLATION, ROTATION] = -skew(way)
-        J[:, ROTATION, ROTATION] = transposed(turn) - np.eye(3)
+        J[:, TRANSLATION, TRANSLATION] = np.eye(3) - R_ab
+        J[:, TRANSLATION, ROTATION] = -skew(t_ab)
+        J[:, ROTATION, ROTATION] = transposed(R_ab) - np.eye(3)
         if rounds == 1:
-            # The rotation is good; the lever arm has to follow first.
+            # The lever arm first, because the rotation is already good.
             J[:, :, ROTATION] = 0.0
         root = []
-        for part, usual in zip((TRANSLATION, ROTATION), motions.usual, strict=True):
+        for part, typical in zip((TRANSLATION, ROTATION), motions.typical, strict=True):
             size = lengths(e[:, part])
-            # Without noise in one of both, the other would be lost to rounding.
-            root.append(np.sqrt(_trust(size)) / (median(size) + _LEAST * usual + 1e-9))
+            # Bounded, because without noise in one of both the other would be lost to rounding.
+            root.append(np.sqrt(_cauchy_weights(size)) / (median(size) + _LEAST * typical + 1e-9))
         rows = np.repeat(np.stack(root, axis=1), 3, axis=1).reshape(-1)
         A = J.reshape(-1, 6) * rows[:, None]
         normal = A.T @ A

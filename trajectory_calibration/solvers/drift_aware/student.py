@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Student's t for contrasts: weights of outliers, and how heavy the tails are."""
+"""Student's t for contrasts: weights, and the degrees of freedom of the tails."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SCALES = np.geomspace(0.4, 2.5, 9)
 def log_gamma(x: FloatArray) -> FloatArray:
     """Return the logarithm of the gamma function of positive numbers (Stirling's series)."""
     x = np.asarray(x, dtype=np.float64)
-    # Shifted to where five terms are exact to 1e-13.
+    # Shifted so that five terms are accurate to 1e-13.
     shift = np.zeros_like(x)
     for _ in range(8):
         shift = shift - np.log(x)
@@ -33,12 +33,12 @@ def weights(squares: FloatArray, tail: float) -> FloatArray:
 
 
 def find_tail(squares: FloatArray) -> float:
-    """Return the degrees of freedom under which (n,) ``d' V^-1 d`` are likeliest.
+    """Return the maximum-likelihood degrees of freedom of (n,) ``d' V^-1 d``.
 
-    Whatever their common scale, which is found with it.
+    A common scale is estimated with them.
     """
     tails, scales = _TAILS[:, None, None], _SCALES[:, None]
-    # The sum over all squares at a few quantiles: exact enough, and free.
+    # A sum over quantiles in place of all squares: accurate enough, and fast.
     at = np.quantile(squares, (np.arange(200) + 0.5) / 200)
     fit = np.log1p(at / scales / tails).mean(axis=-1)
     t = _TAILS[:, None]

@@ -1,26 +1,25 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The tree of worlds: a likelihood of two trajectories in O(N), without a loop over poses.
+"""A multiscale tree: the likelihood of two trajectories in O(N), without a loop over poses.
 
-Pose k says where the world of b lies in the world of a: ``Z_k = A_k X B_k^-1``. Between perfect
-sensors all are one. Here every window of 2, 4, 8 ... poses has a world of its own: that of the
-window twice as long around it, displaced by noise of its octave, and a pose displaces the world
-of its window by the white noise of the two sensors. Going up, two neighbouring windows with
-estimates (Z_1, P_1) and (Z_2, P_2) of their worlds tell one *contrast*,
+Pose pair k gives the pose of the world of b in the world of a: ``Z_k = A_k X B_k^-1``. For perfect
+sensors all Z_k are equal. Here every window of 2, 4, 8 ... poses has a Z of its own: that of the
+window twice as long around it, displaced by noise of its octave. A pose displaces the Z of its
+window by the white noise of the two sensors. Going up the tree, two neighbouring windows with
+estimates (Z_1, P_1) and (Z_2, P_2) give one *contrast*,
 
     d = log(Z_1^-1 Z_2),    d ~ N(J dx, V),    V = P_1 + P_2 + D_octave,
 
-seen at the body between them, and merge to one estimate as a Kalman filter would:
+expressed at the pose of b between them, and are merged as in a Kalman filter:
 
     G = (P_1 + D/2) V^-1,   Z = Z_1 exp(G d),   P = G (P_2 + D/2).
 
-D has the same variance in all directions, and more along the distance moved (the scale of worlds
-differs too).
+D has the same variance in all directions, and more along the distance moved (noise of the scale).
 
 Contrasts are independent, so that ``sum log det V + d' V^-1 d`` is -2 log likelihood. With D = 0
-it is that of one world for all poses (robot-world hand-eye calibration, ``A X = Z B``); noise
-that walks doubles D from octave to octave, flicker keeps it: the variances that an Allan
-deviation plots, here estimated beside X. A jump displaces the world across one boundary only.
+it is that of one Z for all poses (robot-world hand-eye calibration, ``A X = Z B``). A random walk
+doubles D from octave to octave, flicker noise keeps it: the variances of an Allan deviation plot,
+here estimated with X. A jump displaces Z across one boundary only.
 
 K. C. Chou, A. S. Willsky, A. Benveniste, "Multiscale recursive estimation, data fusion, and
 regularization", IEEE TAC 39(3), 1994, doi:10.1109/9.280746. G. W. Wornell, "Wavelet-based
@@ -65,16 +64,16 @@ _DIAGONAL = np.arange(6)
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """One round of merging neighbours; nodes are the windows that are left, in time order.
+    """One round of merging neighbours; nodes are the present windows, in time order.
 
     Attributes
     ----------
-    left, right : (n,) the nodes that merge.
-    kept : (nodes,) bool, which go on: those merged into, and one without a neighbour.
-    merged : (n,) where the merged are among the kept.
-    rows : where its contrasts are among those of all rounds.
-    left_moves, right_moves : where the moves of both are among those of all rounds; None where
-        they are seen at the boundary.
+    left, right : (n,) indices of the nodes that merge.
+    kept : (nodes,) bool, nodes of the next round: the merged ones, and those without a neighbour.
+    merged : (n,) indices of the merged nodes among the kept ones.
+    rows : slice of its contrasts among those of all rounds.
+    left_moves, right_moves : slices of their moves among those of all rounds; None if they are at
+        the boundary already.
 
     """
 
@@ -89,26 +88,26 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Which windows merge with which, and the order of all contrasts: by octave, then by time.
+    """The order of merging, and of all contrasts: by octave, then by time.
 
     Attributes
     ----------
     levels : the rounds.
-    body, pose : (m,) the moves of all rounds: the pose of b at which a world was seen so far,
-        and the boundary at which it is to be seen.
-    turn : (m, 3, 3) how b turned from there to there.
-    back_body, back_pose : (m, 3, 3) the world of b as it is seen there.
+    body, pose : (m,) moves of all rounds: the pose of b at which an estimate is expressed, and the
+        pose at the boundary to which it is moved.
+    rotation : (m, 3, 3) of b between the two.
+    back_body, back_pose : (m, 3, 3) inverse rotation of b at the two.
     order : (n,) from the order of the rounds to that of the octaves.
-    boundary, octave : (n,) of every contrast, in that order: the first pose of the right window,
-        and log2 of the poses of the shorter one.
-    first : (octaves,) where the contrasts of each octave begin.
+    boundary, octave : (n,) of each contrast, in that order: index of the first pose of the right
+        window, and log2 of the number of poses of the shorter window.
+    first : (octaves,) index of the first contrast of each octave.
 
     """
 
     levels: tuple[Level, ...]
     body: Indices
     pose: Indices
-    turn: FloatArray
+    rotation: FloatArray
     back_body: FloatArray
     back_pose: FloatArray
     order: Indices
@@ -118,20 +117,20 @@ class Plan:
 
     @property
     def octaves(self) -> int:
-        """Return how many octaves there may be."""
+        """Return the number of octaves."""
         return int(self.octave[-1]) + 1
 
     @property
     def parts(self) -> list[slice]:
-        """Return where the contrasts of each octave are, those without any left out."""
+        """Return the slices of the contrasts of each octave that has some."""
         edges = [*self.first.tolist(), len(self.octave)]
         return [slice(*ends) for ends in pairwise(edges)]
 
 
 def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
-    """Return the tree: windows between the (N - 1,) cuts first, then across them.
+    """Return the tree: windows between the (N - 1,) cuts merge first, then across the cuts.
 
-    ``R_b`` are the (N, 3, 3) attitudes of b.
+    ``R_b`` are the (N, 3, 3) rotations of b.
     """
     stretch = np.concatenate([[0], np.cumsum(cut)])
     first, end = np.arange(len(stretch)), np.arange(len(stretch)) + 1
@@ -150,7 +149,7 @@ def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
         left, kept = right - 1, ~odd
         boundary = first[right]
         shorter = np.minimum(boundary - first[left], end[right] - boundary)
-        # In the first round the right ones are single poses, seen where they are.
+        # In the first round the right nodes are single poses at the boundary.
         moving = (left, right) if levels else (left,)
         moves = []
         for nodes in moving:
@@ -178,20 +177,20 @@ def plan(cut: NDArray[np.bool_], R_b: FloatArray) -> Plan:
 
 
 def _every_second(nodes: Indices) -> Indices | slice:
-    """Return the nodes as a slice where they are every second one: a view instead of a copy."""
+    """Return the nodes as a slice if they are every second one: a view instead of a copy."""
     first, last = int(nodes[0]), int(nodes[-1])
     return slice(first, last + 1, 2) if last - first == 2 * (len(nodes) - 1) else nodes
 
 
 @dataclass(frozen=True, eq=False)
 class Contrasts:
-    """By how much neighbouring windows disagree, in the order of the plan.
+    """Differences of neighbouring windows, in the order of the plan.
 
     Attributes
     ----------
     d : (n, 6) translation and rotation, in the axes of b at the boundary.
-    J : (n, 6, 12) derivatives of d in the parameters.
-    V, inverse : (n, 6, 6) its covariance, and the inverse.
+    J : (n, 6, 12) derivatives of d by the parameters.
+    V, inverse : (n, 6, 6) covariance of d, and its inverse.
     squares : (n,) ``d' V^-1 d``.
 
     """
@@ -205,15 +204,15 @@ class Contrasts:
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
-    """What becomes of worlds that are seen at another pose of b.
+    """Motions of b that carry estimates from one of its poses to another.
 
-    ``turn`` (m, 3, 3) and ``way`` (m, 3) are the motion of b, ``Ad`` (m, 6, 6) is the adjoint of
-    its inverse, ``Ad_transposed`` has the memory to be multiplied by, ``by_terms`` (m, 3, 5) are
-    its derivatives.
+    ``rotation`` (m, 3, 3) and ``translation`` (m, 3) of b, ``Ad`` (m, 6, 6) the adjoint of the
+    inverse, ``Ad_transposed`` its contiguous transpose, ``by_terms`` (m, 3, 5) the derivatives of
+    ``translation``.
     """
 
-    turn: FloatArray
-    way: FloatArray
+    rotation: FloatArray
+    translation: FloatArray
     Ad: FloatArray
     Ad_transposed: FloatArray
     by_terms: FloatArray
@@ -221,19 +220,20 @@ class _Moves:
     @classmethod
     def of(cls, at: Corrected, tree: Plan) -> _Moves:
         """Return all moves of a tree at once."""
-        way, by_terms = (values[tree.pose] - values[tree.body] for values in (
+        translation, by_terms = (values[tree.pose] - values[tree.body] for values in (
             at.p_b, at.by_terms))
-        way = apply(tree.back_body, way)
-        Ad = adjoint_of_inverse(tree.turn, way)
-        return cls(tree.turn, way, Ad, np.ascontiguousarray(transposed(Ad)),
+        translation = apply(tree.back_body, translation)
+        Ad = adjoint_of_inverse(tree.rotation, translation)
+        return cls(tree.rotation, translation, Ad, np.ascontiguousarray(transposed(Ad)),
                    tree.back_pose @ by_terms)
 
 
 @dataclass(frozen=True, eq=False)
 class _Worlds:
-    """Estimates of the worlds of windows, each as the pose of b in the world of a.
+    """Estimates of the Z of windows, each expressed as a pose of b in the world of a.
 
-    ``J`` (n, 6, 12) are the derivatives in the parameters, ``P`` (n, 6, 6) is the covariance.
+    ``R`` (n, 3, 3), ``p`` (n, 3); ``J`` (n, 6, 12) are the derivatives by the parameters, ``P``
+    (n, 6, 6) is the covariance.
     """
 
     R: FloatArray
@@ -254,10 +254,10 @@ def contrast(
     jumps: FloatArray,
     weights: FloatArray,
 ) -> Contrasts:
-    """Go up the tree.
+    """Return the contrasts of all windows.
 
-    ``jumps`` (N - 1, 2), the variances that are added across each step; ``weights`` (n,), of the
-    contrasts in the order of the plan, of which at most one counts here.
+    ``jumps`` (N - 1, 2) are variances added across each step. ``weights`` (n,) are those of the
+    contrasts in the order of the plan; here they count up to one.
     """
     at = correct(drive, state)
     N, n = len(drive), len(tree.octave)
@@ -287,7 +287,7 @@ def _merge(
     w: FloatArray,
     found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> _Worlds:
-    """Return the nodes of the next round; put the contrasts of this one into ``found``."""
+    """Return the nodes of the next round, and write the contrasts of this round to ``found``."""
     d, J, V, inverse = found
     one = _seen_at_boundary(moves, level.left_moves, worlds.picked(level.left))
     two = _seen_at_boundary(moves, level.right_moves, worlds.picked(level.right))
@@ -298,7 +298,7 @@ def _merge(
     np.add(one.P, two.P, out=V)
     V += D
     inverse[:] = np.linalg.inv(V)
-    # A contrast that is an outlier says that its worlds are further apart: D grows.
+    # D grows for an outlier.
     own = 0.5 * ((1 / w - 1) * V + D)
     G = (one.P + own) @ (w * inverse)
     P = G @ (two.P + own)
@@ -321,12 +321,12 @@ def _put(worlds: _Worlds, merged: _Worlds, level: Level) -> _Worlds:
 
 
 def _seen_at_boundary(moves: _Moves, own: slice | None, worlds: _Worlds) -> _Worlds:
-    """Return worlds after their moves."""
+    """Return the estimates carried to the boundary."""
     if own is None:
         return worlds
     Ad = moves.Ad[own]
     J = Ad @ worlds.J
     J[:, TRANSLATION, SCALE:LATENCY + 1] += moves.by_terms[own]
     return _Worlds(
-        worlds.R @ moves.turn[own], worlds.p + apply(worlds.R, moves.way[own]), J,
+        worlds.R @ moves.rotation[own], worlds.p + apply(worlds.R, moves.translation[own]), J,
         Ad @ worlds.P @ moves.Ad_transposed[own])

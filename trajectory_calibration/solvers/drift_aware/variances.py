@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The variances of the tree, by restricted likelihood beside the extrinsic.
+"""The variances of the tree, by restricted maximum likelihood.
 
 For contrasts ``d ~ N(J dx, V)`` whose covariance is linear in variances s, ``dV/ds_i = E_i``,
 the restricted log likelihood has score and information
@@ -8,15 +8,15 @@ the restricted log likelihood has score and information
     score_i = 1/2 sum [ e' V^-1 E_i V^-1 e - tr V^-1 E_i + tr V^-1 E_i V^-1 J A^-1 J' ]
     information_ij = 1/2 sum tr(V^-1 E_i V^-1 E_j)
 
-(the last part of the score: parameters that were fitted take their share of the squares). One
-step of Fisher scoring a round; variances stay at least zero. The white noise is told by
-neighbouring poses (octave 0), the noise between worlds by its own octave. An octave of few
-contrasts is drawn towards what the one below it tells: noise grows there by ``GROWTH``.
+(the last part of the score: fitted parameters reduce the squares). One step of Fisher scoring per
+round; variances stay non-negative. The white noise is estimated from neighbouring poses (octave
+0), the noise between worlds from its own octave. An octave of few contrasts is regularised towards
+that of the octave below times ``GROWTH``.
 
-Noise of the stamps is along the twist of a pose, that of the scale along the derivative j of d
-in the log scale, ``E = j j'``, and all octaves tell its one variance. Both deviations have
-half-Cauchy priors as wide as those of the clock offset and of the scale: few contrasts invent
-none.
+Noise of the stamps acts along the twist of a pose. Noise of the scale acts along the derivative j
+of d by the log scale, ``E = j j'``, with one variance from all octaves. Both standard deviations
+have half-Cauchy priors as wide as those of the clock offset and of the scale, so that a few
+contrasts give no spurious noise.
 
 D. A. Harville, "Maximum likelihood approaches to variance component estimation and to related
 problems", JASA 72(358), 1977, doi:10.1080/01621459.1977.10480998.
@@ -54,22 +54,22 @@ from trajectory_calibration.solvers.drift_aware.noise import (
 )
 from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
-# Variances of noise-free data end here: (1e-11)^2 metres and radians.
+# Smallest variance, for noise-free data: (1e-11)^2 metres or radians.
 _LEAST = 1e-22
-# One kind of noise is at least this part of the other (variance, over the extent of the drive).
+# Smallest ratio of the variances of rotation and translation, over the extent of the drive.
 _RATIO = 1e-9
-# A drive has at least that extent, metres: one sensor may turn on the spot.
+# Smallest extent of a drive, metres: the sensors may rotate on the spot.
 _SMALLEST_EXTENT = 1e-3
 
-# How many contrasts the extrapolation from the octave below counts for.
+# Weight of the extrapolation from the octave below, in contrasts.
 _PRIOR_CONTRASTS = 24
 
-# A round changes the white noise by no more than this factor.
+# Largest change of the white noise in a round, as a factor.
 _LARGEST_CHANGE = 20.0
 
 
 def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]) -> Noise:
-    """Return white noise as the median step has it, and none that walks."""
+    """Return the white noise from the median step, without other noise."""
     i = np.flatnonzero(~cut)
     e = residuals(drive, correct(drive, state), i, i + 1)
     white = [0.65 * np.median((e[:, part]**2).mean(axis=1)) for part in PARTS]
@@ -77,7 +77,7 @@ def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]
 
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
-    """Return the (2,) variances, neither so small that what the other tells drowns in rounding."""
+    """Return the (2,) variances, bounded so that neither makes the other vanish in rounding."""
     extent = _SMALLEST_EXTENT**2 + max(
         float((p**2).sum(axis=1).max()) for p in (drive.p_a, drive.p_b))
     translation = max(white[0], _LEAST, _RATIO * white[1] * extent)
@@ -94,10 +94,10 @@ def improved(
     cut: NDArray[np.bool_],
     normal: FloatArray,
 ) -> Noise:
-    """Return the noise after a step of Fisher scoring; ``normal`` is A, (12, 12)."""
+    """Return the noise after a step of Fisher scoring; ``normal`` (12, 12) is A."""
     e = apply(found.inverse, found.d)
     whitened = found.inverse @ found.J
-    # Half the derivative of the restricted log likelihood in V.
+    # Half the derivative of the restricted log likelihood by V.
     slope = (weights[:, None, None] * (
         along(e) + whitened @ solved(normal, np.eye(len(normal))) @ transposed(whitened))
         - found.inverse)
@@ -114,7 +114,7 @@ def _improved_white(
     noise: Noise, drive: Drive, state: State, tree: Plan, found: Contrasts, slope: FloatArray,
     used: NDArray[np.bool_], lowest: slice,
 ) -> tuple[FloatArray, float]:
-    """Fit the white noise, and that of the stamps, to the contrasts of the lowest octave."""
+    """Estimate the white noise and that of the stamps from the lowest octave."""
     j = tree.boundary[lowest][used[lowest]]
     if not len(j):
         return noise.white, noise.stamps
@@ -142,7 +142,7 @@ def _improved_white(
 def _improved_walk(
     noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
 ) -> FloatArray:
-    """Fit the noise between worlds to the contrasts of each octave above the lowest."""
+    """Estimate the noise between worlds from each octave above the lowest."""
     octaves = tree.octaves
 
     def total(values: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ def _improved_walk(
 def _improved_scale(
     noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
 ) -> float:
-    """Fit the variance of the scale to the contrasts of all octaves."""
+    """Estimate the variance of the scale from all octaves."""
     growth = np.where(used, scale_growth(tree.octaves)[tree.octave], 0.0)
     j = found.J[:, :, SCALE]
     score = float(growth @ (j * apply(slope, j)).sum(axis=1))
