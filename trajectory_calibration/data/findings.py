@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a person or a program should know about the data and the answer, with stable codes.
+"""Findings about the data and the answer, with stable codes.
 
-``Finding`` replaces a sentence that nobody could match on: the code is stable and documented
-(docs/findings.md, a test compares), the text is for people, the values are for programs.
+The code is stable and documented (docs/findings.md, a test compares), the text is for people, the
+values are for programs.
 """
 
 from __future__ import annotations

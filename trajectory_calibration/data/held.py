@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses that repeat an old measurement under a new stamp.
 
-A receiver of GNSS gives one position a second, its INS writes a hundred poses a second with it; a
-SLAM at 5 Hz is published again at 20 Hz; a receiver in a tunnel repeats its last position. Such
-rows are old, by half a second and more, and a solver takes them for motion: the lever arm comes
-out wrong by metres. A vehicle that stands still repeats its pose too. What follows tells them
-apart: who stood still moves on with a step, what was held jumps to where the vehicle went.
+A GNSS receiver gives one position per second, and its INS writes a hundred poses per second with
+it; a SLAM at 5 Hz is published again at 20 Hz; a receiver in a tunnel repeats its last position.
+Such poses are old by half a second and more, and a solver takes them for motion: the lever arm is
+wrong by metres. A stationary vehicle repeats its pose, too. The next step distinguishes the two:
+after standing still it is a normal step, after a held pose it is a jump.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# The share of the fresh rows that stand between repeated ones where a slow sensor is repeated,
-# and of those in which the coordinate that changes most often changes: rounded ones do by turns.
+# A slow sensor is repeated if this share of its new rows is between repeated ones, and if the
+# coordinate that changes most often does so in this share of them (rounded values change by
+# angles).
 _ALONE, _TOGETHER = 0.8, 0.9
 _FEWEST_FRESH = 10
-# After a pause of more rows than this, a step that is so many times the usual one, and the one
-# after it, is a jump.
+# A pause has more rows than this. A step after it is a jump if it is this many times the median
+# step and the following one.
 _PAUSE = 2
 _JUMP = 5.0
 
@@ -35,14 +36,14 @@ def without_held(trajectory: Trajectory) -> tuple[Trajectory, tuple[Finding, ...
     Itself where there are none. The finding says how many were dropped.
     """
     steps = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
-    same_turn = (np.diff(trajectory.rotations, axis=0) == 0).all(axis=(1, 2))
-    if steps.all() and not same_turn.any():
+    same_rotation = (np.diff(trajectory.rotations, axis=0) == 0).all(axis=(1, 2))
+    if steps.all() and not same_rotation.any():
         return trajectory, ()
-    turns = np.linalg.norm(trajectory.turns, axis=1)
+    angles = np.linalg.norm(trajectory.turns, axis=1)
     held = {
         'position': _held(trajectory.positions, steps, steps == 0),
         'orientation': _held(
-            se3.rotation_to_quaternion(trajectory.rotations), turns, same_turn)}
+            se3.rotation_to_quaternion(trajectory.rotations), angles, same_rotation)}
     drop = np.logical_or(*held.values())
     count = int(np.count_nonzero(drop))
     if not count or len(trajectory) - count < 2:
@@ -59,7 +60,7 @@ def without_held(trajectory: Trajectory) -> tuple[Trajectory, tuple[Finding, ...
 
 
 def _held(values: FloatArray, steps: FloatArray, same: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which of (N, K) rows repeat an old value.
+    """Return which of (N, K) rows repeat an old value.
 
     ``steps`` are the (N - 1,) distances from row to row, ``same`` whether a row repeats the one
     before.

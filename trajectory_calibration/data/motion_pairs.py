@@ -21,7 +21,7 @@ from trajectory_calibration.errors import ConfigError, counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Seconds between poses that the lags of the checks are made for.
+# Step between poses, seconds, for which the lags of the checks are chosen.
 _USUAL_STEP = 0.1
 
 AUTOMATIC = 'auto'
@@ -38,7 +38,7 @@ class MotionPairs:
     reference : the selection that made them, 'A', 'B5', 'C10', ...
     i, j : (M,) indices into ``pairs``: the reference pose and the current pose.
     A, B : (M, 4, 4), pose j in the frame of pose i, for sensor a and sensor b.
-    pairs : the poses they were made from.
+    pairs : the pose pairs.
 
     """
 
@@ -102,14 +102,13 @@ def reference_indices(reference: str, poses: int) -> tuple[NDArray[np.intp], NDA
 
     * 'A': i = 0 for every j.
     * 'B<n>': i = j - n.
-    * 'C<n>': the poses are cut into segments of n; i is the first pose of the segment of j. A
-      segment counts once the next one has begun, so that the last is dropped even where it is
-      complete: with that, and only with that, the published figures come out to the digit.
+    * 'C<n>': the poses are split into segments of n; i is the first pose of the segment of j. The
+      last segment is dropped even if it is complete: only this reproduces the published figures.
 
     Raises ConfigError as ``parse_reference``, MotionError for fewer than two motions.
     """
     letter, n = parse_reference(reference)
-    # An n of more digits than an index holds leaves as little as one of as many as the poses.
+    # A huge n, beyond the range of an index, gives as few motions as n = poses.
     n = min(n, poses)
     if letter == 'A':
         j = np.arange(1, poses)
@@ -133,8 +132,8 @@ def lag_grid(
 ) -> tuple[int, ...]:
     """Return the lags, in poses, that span the given times; ascending and distinct, at least one.
 
-    Times, not numbers of poses, so that recordings of one drive at 10 and 200 Hz are judged alike.
-    A recording slower than 10 Hz stretches the times by as much, so that it has as many lags.
+    Times, not numbers of poses, so that recordings at 10 and 200 Hz are treated alike. For a
+    recording below 10 Hz the times are stretched accordingly, so that it has as many lags.
     ``stamps_ns`` are (N,), ascending; no lag is longer than a share of the N poses.
     """
     step = float(np.median(np.diff(stamps_ns))) * 1e-9 if len(stamps_ns) > 1 else _USUAL_STEP

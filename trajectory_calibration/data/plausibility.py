@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Questions about the units of stamps and positions that no drive explains.
+"""Questions about the units of stamps and positions.
 
-Files carry numbers without units. A drive in millimetres, or with times in microseconds, breaks
-nothing on the way in; the steps and the speed tell that it is none. They only raise a question:
-rare recordings are as slow, and rare vehicles as fast.
+Files contain numbers without units. Millimetres, or times in microseconds, can be read without an
+error, but steps and speeds are implausible. This is only a question, because a few recordings are
+really as slow, and a few vehicles as fast.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Median speed, metres a second, above which no ground vehicle and hardly a drone moves.
+# Median speed, m/s, above any ground vehicle and almost any drone.
 _FASTEST = 100.0
 
-# Seconds over which it is taken: between two poses of a fast sensor lies more noise than way.
+# Lag of the speed, nanoseconds: over shorter ones noise dominates.
 _SPEED_SPAN_NS = 1_000_000_000
 
-# Median steps, seconds, beyond which there is no sensor, and the longest that a divisor may leave.
+# Plausible median steps, seconds, and the longest one after conversion to seconds.
 _SHORTEST_STEP, _LONGEST_STEP = 1e-5, 10.0
 _USUAL_STEP = 1.0
-# Fewer poses may be captures, one at each place where the sensors stood still.
+# Fewer poses may be single captures at standstill.
 _CAPTURES = 30
 
-# What seconds are divided by where they are none, and the factor that rates of sensors differ by.
+# Units and their divisors to seconds, and the largest ratio of the rates of two sensors.
 _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
 _RATES = 10.0
 
-# Units of length in a metre, and how near a scale comes to one: a SLAM is off by some per cent.
+# Units of length per metre, and the tolerance of a scale (a SLAM is off by some per cent).
 _SMALL_UNITS = (('feet', 1 / 0.3048), ('inches', 1 / 0.0254), ('centimetres', 100.0),
                 ('millimetres', 1000.0))
 _LIKE_A_UNIT = 0.03
 
-# Steps of a trajectory from the origin at which a row of the identity is none of its poses.
+# An identity pose is no measurement if its neighbours are this many steps from the origin.
 _FAR_STEPS = 5.0
 
 
 def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
-    """Return a question about the unit of the stamps, where the steps are no sensor's."""
+    """Return a question about the unit of the stamps if the steps are implausible."""
     step = trajectory.usual_step_ns * 1e-9
     if len(trajectory) < _CAPTURES or _SHORTEST_STEP <= step <= _LONGEST_STEP:
         return ()
@@ -62,7 +62,7 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
 
 
 def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
-    """Return a question about the unit of the positions, where they move far too fast."""
+    """Return a question about the unit of the positions if the speed is implausible."""
     every = min(trajectory.poses_in(_SPEED_SPAN_NS), len(trajectory) - 1)
     way = np.linalg.norm(
         trajectory.positions[every:] - trajectory.positions[:-every], axis=1)
@@ -77,10 +77,10 @@ def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
 
 
 def unit_doubts(scale: float, frame: str) -> tuple[Finding, ...]:
-    """Return a question where sensor a may be in feet, or another unit smaller than a metre.
+    """Return a question if sensor a may be in feet, or another unit smaller than a metre.
 
-    ``scale`` is what the lengths of b were multiplied by. The answer is in the unit of a. Where b
-    is in a smaller unit than a, all is well.
+    ``scale`` is the factor of the lengths of b. The answer is in the unit of a, so a smaller unit
+    of b does no harm.
     """
     for unit, per_metre in _SMALL_UNITS:
         if abs(scale / per_metre - 1) < _LIKE_A_UNIT:
@@ -93,10 +93,10 @@ def unit_doubts(scale: float, frame: str) -> tuple[Finding, ...]:
 
 
 def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
-    """Return questions about the unit of the stamps of two trajectories that do not match.
+    """Return questions about the units of the stamps of two trajectories that do not match.
 
-    Those about each of them, or else one where they have no time in common and their steps
-    differ by what units differ by.
+    Those about each trajectory, or one if they do not overlap and their steps differ by the ratio
+    of two units.
     """
     found = (*time_doubts(a), *time_doubts(b), *(
         item for item in (*a.findings, *b.findings) if item.code == 'stamps-are-numbers'))
@@ -117,17 +117,17 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
 
 
 def lost_as_identity(poses: FloatArray) -> NDArray[np.bool_]:
-    """Tell which of (N, 7) poses or (N, 4, 4) matrices are an identity that was written for none.
+    """Return which of (N, 7) poses or (N, 4, 4) matrices are an identity in place of a pose.
 
-    A SLAM that lost its track often writes the identity. A trajectory that begins there, or
-    really begins anew there, goes on from there; these have neighbours that are far.
+    A SLAM that is lost often writes the identity. Such rows have distant neighbours, unlike a
+    trajectory that starts or restarts at the origin.
     """
     lost = np.zeros(len(poses), dtype=bool)
     if not len(poses):
         return lost
     identity = np.array([0, 0, 0, 0, 0, 0, 1.0]) if poses.ndim == 2 else np.eye(4).ravel()
     found = (poses.reshape(len(poses), -1) == identity).all(axis=1)
-    # Those at the beginning are the origin of the trajectory.
+    # At the beginning the identity is the origin of the trajectory.
     found[:np.argmin(found)] = False
     place = poses[:, :3] if poses.ndim == 2 else poses[:, :3, 3]
     steps = np.linalg.norm(np.diff(place[~found], axis=0), axis=1)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of two sensors at common times, and how they came about."""
+"""Poses of two sensors at common times, and a summary of the association."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from trajectory_calibration.geometry.se3 import FloatArray
 
 METHODS = ('auto', 'interpolate', 'nearest')
 
-# Two relative motions need three poses; below, no solver has anything to work on.
+# Two relative motions need three poses.
 MIN_PAIRS = 3
 
 
 @dataclass(frozen=True)
 class AssociationSummary:
-    """How the pairs came about: counts, and how far apart in time their poses were.
+    """Summary of the association: counts, and time differences of the poses.
 
     Attributes
     ----------
     method : 'nearest' or 'interpolate'.
     time_offset_s : seconds that were added to the stamps of b.
-    poses_a, poses_b : poses each trajectory held.
-    pairs : pairs that were formed.
+    poses_a, poses_b : number of poses of each trajectory.
+    pairs : number of pairs.
     outside : poses of b before the first or after the last pose of a.
-    in_gaps : poses of b inside the span of a without a pose of a near enough.
-    between : poses of b that were left out because most others coincide with poses of a.
+    in_gaps : poses of b inside the span of a, but in a gap of a.
+    between : poses of b that were not used because most others coincide with poses of a.
     median_difference_s, max_difference_s : time between a pose of b and the nearest pose of a
         over the pairs.
     stamps_of : 'b'; 'a' where b was interpolated at the stamps of a, and all of these count poses
@@ -59,7 +59,7 @@ class PosePairs:
     stamps_ns : (K,) int64, in the clock of a, strictly increasing.
     poses_a : (K, 4, 4), pose of sensor a in the world of a.
     poses_b : (K, 4, 4), pose of sensor b in the world of b.
-    summary : how they came about.
+    summary : of the association.
 
     """
 

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A trajectory: where one sensor says that it was, and when."""
+"""A trajectory: the poses of one sensor in the world of its SLAM, with stamps."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from trajectory_calibration.errors import counted, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# How far a quaternion's norm, or a rotation matrix's columns, may be from unit length. Up to
-# the first, the deviation is what rounding to six digits leaves and is removed without a word;
-# up to the second it is removed with a warning; beyond, the numbers are not a rotation.
+# Deviation of a quaternion's norm, or of a rotation matrix's columns, from unit length. Up to the
+# first limit it is rounding to six digits and is corrected silently; up to the second it is
+# corrected with a finding; beyond, the numbers are not a rotation.
 ROUNDING_TOLERANCE = 1e-5
 ROTATION_TOLERANCE = 1e-2
 
-# Largest position along an axis, metres: far beyond every map in metres on Earth, and small
-# enough that squares and differences keep their digits in all that follows.
+# Largest position along an axis, metres: beyond every map on Earth, and small enough that squares
+# and differences keep their digits.
 MAX_POSITION = 1e9
 
-# A step longer than this many usual ones, and half a second, is a gap, in which nothing is known.
+# A step longer than this many median steps and this time is a gap.
 _GAP_STEPS, _GAP_NS = 5.0, 500_000_000
 
 # No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
 LARGEST_DRIFT = 1e-3
 
-# Time begins anew where it goes back by more than this, nanoseconds, in parts of so many poses.
+# A recording restarts where time goes back by more than this (ns), in parts of so many poses.
 _ANEW_NS, _FEWEST_OF_A_PART = 1_000_000_000, 10
 
 
@@ -49,8 +49,8 @@ class Trajectory:
     world_frame, sensor_frame : str
         Names of the two frames.
     findings : tuple of Finding
-        What was repaired on the way in: samples reordered, duplicates dropped, rotations
-        normalised. Passed on to the result.
+        Repairs of the input: samples reordered, duplicates dropped, rotations normalised. Passed
+        on to the result.
 
     Raises
     ------
@@ -79,14 +79,14 @@ class Trajectory:
     def _settle(
         self, stamps_ns: NDArray[np.int64], poses: FloatArray, notes: list[str],
     ) -> None:
-        """Keep stamps and poses that have been checked and are in the order of time."""
+        """Store checked stamps and poses that are sorted by time."""
         if len(stamps_ns) < 2:
             raise TrajectoryError(
                 f'{self.sensor_frame}: {len(stamps_ns)} pose with a stamp of its own, needed at '
                 'least 2; record while the sensor moves')
         stamps_ns.setflags(write=False)
         poses.setflags(write=False)
-        # Not by assignment: the class is frozen.
+        # Not by assignment, because the class is frozen.
         self.__dict__.update(stamps_ns=stamps_ns, poses=poses, findings=(*self.findings, *(
             Finding('input-repaired', f'{self.sensor_frame}: {note}') for note in notes)))
 
@@ -119,7 +119,7 @@ class Trajectory:
         if len(stamps) != len(p):
             raise TrajectoryError(f'{len(stamps)} stamps and {len(p)} positions; needed one stamp '
                                   'per position')
-        # Unit quaternions give rotations: nothing is left to check or to repair.
+        # Unit quaternions give rotations: no further check is needed.
         poses = se3.from_rotation_translation(se3.quaternion_to_rotation(q / norm[:, None]), p)
         result = object.__new__(cls)
         result.__dict__.update(
@@ -137,9 +137,9 @@ class Trajectory:
         world_frame: str = 'map',
         sensor_frame: str = 'sensor',
     ) -> Trajectory:
-        """Build a trajectory from what stands in a notebook.
+        """Build a trajectory from arrays, as in a notebook.
 
-        Raises TrajectoryError as the class, and for times that no clock shows.
+        Raises TrajectoryError as the class, and for times beyond the year 2262.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Trajectory:
 
         """
         time = _real_numbers(seconds, 'seconds', 'one per pose')
-        # What int64 holds as nanoseconds; written so that NaN fails.
+        # The range of int64 nanoseconds; NaN fails, too.
         if not (np.abs(time) < 9.2e9).all():
             raise TrajectoryError(
                 'seconds are not finite or beyond the year 2262; are they in another unit?')
@@ -174,7 +174,7 @@ class Trajectory:
         return len(self.stamps_ns)
 
     def scaled(self, scale: float) -> Trajectory:
-        """Return the trajectory with its distances multiplied; itself where that is one."""
+        """Return the trajectory with its positions multiplied; itself for a scale of one."""
         if scale == 1.0:
             return self
         poses = self.poses.copy()
@@ -182,27 +182,27 @@ class Trajectory:
         return replace(self, poses=poses)
 
     def retimed(self, drift: float, from_ns: int) -> Trajectory:
-        """Return the trajectory as a clock that runs faster by ``drift`` (s/s) would have it.
+        """Return the trajectory with the stamps of a clock that runs faster by ``drift`` (s/s).
 
-        At ``from_ns`` the clocks agree. Itself where the drift is zero.
+        At ``from_ns`` the clocks agree. Itself for a drift of zero.
         """
         if drift == 0.0:
             return self
-        apart = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
-        return replace(self, stamps_ns=self.stamps_ns + apart)
+        shift = np.rint(drift * (self.stamps_ns - from_ns).astype(np.float64)).astype(np.int64)
+        return replace(self, stamps_ns=self.stamps_ns + shift)
 
     @cached_property
     def usual_step_ns(self) -> float:
-        """Median of the times from each pose to the next, nanoseconds."""
+        """Median time between two poses, nanoseconds."""
         return float(np.median(np.diff(self.stamps_ns)))
 
     def poses_in(self, time_ns: float) -> int:
-        """Return how many steps are about so long, at least one."""
+        """Return the number of steps in a time, at least one."""
         return max(1, round(time_ns / self.usual_step_ns))
 
     @property
     def longest_step_ns(self) -> float:
-        """Return what a step is at most, nanoseconds; in a longer one nothing is known."""
+        """Return the length, nanoseconds, beyond which a step is a gap."""
         return max(_GAP_STEPS * self.usual_step_ns, _GAP_NS)
 
     @cached_property
@@ -232,31 +232,30 @@ class Trajectory:
         return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
 
 
-# Of the stamps and poses of one trajectory.
+# Digits of the checksum of one trajectory.
 _DIGITS = 16
 
 
 def recording_of(*trajectories: Trajectory) -> str:
-    """Return digits that are equal where all stamps and poses are, whatever their names."""
+    """Return a checksum of all stamps and poses; the frame names do not matter."""
     return ''.join(f'{crc32(np.ascontiguousarray(values).data):08x}' for trajectory in trajectories
                    for values in (trajectory.stamps_ns, trajectory.poses))
 
 
 def recordings_in(recording: str) -> tuple[str, ...]:
-    """Return the ``recording_of`` each of the trajectories of which it is."""
+    """Split the ``recording_of`` several trajectories into those of each."""
     return tuple(recording[k:k + _DIGITS] for k in range(0, len(recording), _DIGITS))
 
 
 def pose_faults(
     poses: FloatArray,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which of (N, 7) poses (x, y, z, qx, qy, qz, qw) are none.
+    """Return three masks of faulty (N, 7) poses (x, y, z, qx, qy, qz, qw).
 
-    Those that are not finite; of the others, those whose quaternion is not of unit length; of the
-    rest, those that lie beyond ``MAX_POSITION``.
+    Not finite; otherwise no unit quaternion; otherwise beyond ``MAX_POSITION``.
     """
     finite = np.asarray(np.isfinite(poses).all(axis=1))
-    # The square of a huge number is infinite, which is no unit length either.
+    # The square of a huge number is infinite, which is no unit length.
     with np.errstate(over='ignore'):
         norms = np.linalg.norm(np.where(finite[:, None], poses[:, 3:], 0.0), axis=1)
     unit = np.abs(norms - 1.0) <= ROTATION_TOLERANCE
@@ -279,10 +278,10 @@ def _real_numbers(values: ArrayLike, what: str, needed: str) -> FloatArray:
 
 
 def longest_run(stamps_ns: NDArray[np.int64]) -> slice:
-    """Return the longest part of (N,) stamps, where time begins anew and the parts overlap.
+    """Return the longest part of (N,) stamps if there are several recordings that overlap in time.
 
-    As where two recordings stand in one file, or a simulation was started again: sorted by time,
-    the poses of both would alternate. All of them where rows are only out of order.
+    Two recordings in one file, or a restarted simulation: sorted by time, the poses of both would
+    alternate. The whole range if rows are only out of order.
     """
     edges = np.flatnonzero(np.diff(stamps_ns) < -_ANEW_NS) + 1
     starts, ends = np.append(0, edges), np.append(edges, len(stamps_ns))
@@ -299,7 +298,7 @@ def longest_run(stamps_ns: NDArray[np.int64]) -> slice:
 def _checked_stamps(
     stamps: ArrayLike,
 ) -> tuple[NDArray[np.int64], NDArray[np.intp] | slice, list[str]]:
-    """Return the stamps, what sorts them and drops duplicates, and notes of that."""
+    """Return the stamps, the order that sorts them without duplicates, and notes."""
     try:
         array = np.asarray(stamps)
     except ValueError as error:
@@ -345,13 +344,13 @@ def _checked_stamps(
 
 
 def _repair_rotations(poses: FloatArray) -> list[str]:
-    """Make the rotations of (N, 4, 4) poses orthonormal in place, with a note, or raise."""
+    """Make the rotations of (N, 4, 4) poses orthonormal in place; return notes, or raise."""
     _require_finite(poses.reshape(len(poses), 16))
     _require_near(poses[:, :3, 3])
     if not (np.abs(poses[:, 3] - [0, 0, 0, 1]) < ROUNDING_TOLERANCE).all():
         raise TrajectoryError('the last row of a pose is not 0 0 0 1; needed homogeneous matrices')
     R = poses[:, :3, :3]
-    # Squares of numbers that are far from a rotation's overflow; the judge refuses what they give.
+    # Squares of large numbers overflow; such poses are refused below.
     with np.errstate(over='ignore', invalid='ignore'):
         deviation = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
         right_handed = np.sum(np.cross(R[:, 0], R[:, 1]) * R[:, 2], axis=1) > 0
@@ -382,8 +381,8 @@ def _require_finite(rows: FloatArray) -> None:
 
 
 def _judge_deviation(deviation: FloatArray, what: str, shown: FloatArray) -> list[str]:
-    """Return a note if the worst deviation deserves one; raise beyond the tolerance."""
-    # Written so that NaN fails.
+    """Return a note beyond rounding; raise beyond the tolerance."""
+    # NaN fails, too.
     if not (deviation <= ROTATION_TOLERANCE).all():
         k = int(np.argmax(deviation))
         raise TrajectoryError(

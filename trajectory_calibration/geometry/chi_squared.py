@@ -13,17 +13,17 @@ from collections.abc import Callable
 from functools import lru_cache
 import math
 
-# How often a check may raise a finding about data that have nothing wrong with them.
+# Probability of a finding for sound data.
 FALSE_ALARM = 1e-3
 
-# Of the continued fraction: with half of them the error is below 1e-9.
+# Terms of the continued fraction; half of them give an error below 1e-9.
 _TERMS = 50
 
 
 def exceedance(value: float, degrees_of_freedom: int) -> float:
-    """Return the probability that a chi-squared variable exceeds a value; 1 where that is NaN.
+    """Return the probability that a chi-squared variable exceeds a value.
 
-    Without degrees of freedom nothing is told, and the probability is 1 as well.
+    1 if the value is NaN or there are no degrees of freedom.
     """
     if degrees_of_freedom <= 0 or not 0 < value < math.inf:
         return 1.0
@@ -43,10 +43,10 @@ def quantile(degrees_of_freedom: int, probability: float = FALSE_ALARM) -> float
 
 
 def exceedance_of_ratio(value: float, degrees_of_freedom: int, of_noise: float) -> float:
-    """Return the probability that a chi-squared variable exceeds a value, its noise being unknown.
+    """Return the probability that a sum of squares, over an estimated variance, exceeds a value.
 
-    ``value`` is in units of a variance that was estimated with ``of_noise`` degrees of freedom:
-    it is the number of degrees times a variable of Fisher's F.
+    The variance was estimated with ``of_noise`` degrees of freedom. ``value`` is then the number
+    of degrees of freedom times a variable with Fisher's F distribution.
     """
     a, b = 0.5 * of_noise, 0.5 * degrees_of_freedom
     x = of_noise / (of_noise + max(value, 0.0))

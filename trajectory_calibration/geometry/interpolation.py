@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of a trajectory between its stamps."""
+"""Interpolation of a trajectory."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# A neighbour turned by more than this may have turned the other way round.
-_FARTHEST_TURN = np.pi / 2
+# A neighbour is used up to this rotation (radians).
+_LARGEST_NEIGHBOUR_ROTATION = np.pi / 2
 
-# The twist changes from one step to the next by this many times the median over so many poses
-# around only where a SLAM jumped, or a simulated driver leapt. Of a jump a sixteenth would get
-# into the next interval, too little to be set aside; in white noise that matters from four times
-# the median on, which noise itself reaches by chance.
-_LEAP, _AROUND = 8.0, 11
+# A change of the twist beyond this many medians over so many poses around is a jump of a SLAM. The
+# cubic would carry a sixteenth of a jump into the next interval, too little to be excluded later.
+# White noise reaches four medians by chance.
+_JUMP, _AROUND = 8.0, 11
 
-# Poses that are worked on at once: what they need stays in the cache of a processor.
+# Poses that are processed at once, to stay in the cache of the processor.
 _CHUNK = 4096
 
 
 def left_of(stamps_ns: NDArray[np.int64], at_ns: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return with which of at least two sorted stamps the step begins that holds each time.
+    """Return the index of the stamp at or before each time, for at least two sorted stamps.
 
-    Outside of all of them it is the first or the last step.
+    For times outside it is that of the first or the last step.
     """
     return np.minimum(np.maximum(np.searchsorted(stamps_ns, at_ns), 1), len(stamps_ns) - 1) - 1
 
@@ -42,13 +41,12 @@ def interpolate(
     """Return the (K, 4, 4) poses of a trajectory at (K,) times.
 
     Between two poses: the cubic through these two and one more on either side, in the tangent
-    space at the geodesic's point. It is exact where the twist is constant, its error falls with
-    the fourth power of the step where the motion is smooth (that of the geodesic: with the
-    second), and it is the same path in whichever frames the sensor and its world are, for the
-    tangents of ``G T X`` are those of ``T`` times a matrix. Without a neighbour on one side (an
-    end, a gap, a leap of the twist), the quadratic through three poses; with none, or where the
-    stamps are so uneven that the squared weights add up to more than 1, the geodesic: no guess
-    is noisier than a pose is.
+    space at the point of the geodesic. It is exact for a constant twist. For smooth motion its
+    error is of fourth order in the step, that of the geodesic of second order. It does not depend
+    on the choice of frames, because the tangents of ``G T X`` are those of ``T`` times a matrix.
+    Without a neighbour on one side (end, gap or jump) it is the quadratic through three poses.
+    Without any, or if the stamps are so uneven that the squared weights add up to more than 1, it
+    is the geodesic: no interpolated pose is noisier than a measured one.
 
     Parameters
     ----------
@@ -65,7 +63,7 @@ def interpolate(
     left = left_of(stamps_ns, at_ns)
     since, gap = at_ns - stamps_ns[left], stamps_ns[left + 1] - stamps_ns[left]
     inside = (since > 0) & (since < gap)
-    leaps = _leaps(stamps_ns, poses) if inside.any() else np.zeros(len(poses), bool)
+    jumps = _twist_jumps(stamps_ns, poses) if inside.any() else np.zeros(len(poses), bool)
     result = np.empty((len(at_ns), 4, 4))
     for start in range(0, len(at_ns), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -73,18 +71,18 @@ def interpolate(
         found[:] = se3.interpolate(poses[near], poses[near + 1], since[part] / gap[part])
         between = np.flatnonzero(inside[part])
         if len(between):
-            found[between] = _bent(
+            found[between] = _on_cubic(
                 found[between], stamps_ns, poses, at_ns[part][between], near[between],
-                max_gap_ns, leaps)
+                max_gap_ns, jumps)
     return result
 
 
-def _bent(
+def _on_cubic(
     result: FloatArray, stamps_ns: NDArray[np.int64], poses: FloatArray,
     at_ns: NDArray[np.int64], left: NDArray[np.intp], max_gap_ns: int | None,
-    leaps: NDArray[np.bool_],
+    jumps: NDArray[np.bool_],
 ) -> FloatArray:
-    """Return the (K, 4, 4) poses of ``interpolate`` from those of the geodesics."""
+    """Return the (K, 4, 4) poses on the cubic from those on the geodesic."""
     around = left[:, None] + np.arange(-1, 3)
     known = (around >= 0) & (around < len(stamps_ns))
     around = np.clip(around, 0, len(stamps_ns) - 1)
@@ -92,9 +90,9 @@ def _bent(
         known[:, [0, 3]] &= np.diff(stamps_ns[around], axis=1)[:, [0, 2]] <= max_gap_ns
     origin = se3.inverse(result)
     tangents = np.stack([se3.log_se3(origin @ poses[k]) for k in around.T], axis=1)
-    known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _FARTHEST_TURN
-    known[:, 0] &= ~leaps[around[:, 1]]
-    known[:, 3] &= ~leaps[around[:, 2]]
+    known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _LARGEST_NEIGHBOUR_ROTATION
+    known[:, 0] &= ~jumps[around[:, 1]]
+    known[:, 3] &= ~jumps[around[:, 2]]
     weights = _lagrange((stamps_ns[around] - at_ns[:, None]) * 1e-9, known)
     sound = np.einsum('ij,ij->i', weights, weights) <= 1
     steps = np.einsum('ij,ijk->ik', weights[sound], tangents[sound])
@@ -102,11 +100,11 @@ def _bent(
     return result
 
 
-def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]:
-    """Tell at which of the (N,) poses the twist is another one all of a sudden."""
-    leaps = np.zeros(len(poses), bool)
+def _twist_jumps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]:
+    """Return at which of the (N,) poses the twist jumps."""
+    jumps = np.zeros(len(poses), bool)
     if len(poses) < _AROUND:
-        return leaps
+        return jumps
     seconds = np.diff(stamps_ns)[:, None] * 1e-9
     twists = np.empty((len(seconds), 6))
     for start in range(0, len(twists), _CHUNK):
@@ -119,14 +117,14 @@ def _leaps(stamps_ns: NDArray[np.int64], poses: FloatArray) -> NDArray[np.bool_]
         size = np.linalg.norm(part, axis=1)
         padded = np.pad(size, _AROUND // 2, mode='reflect')
         usual = np.median(sliding_window_view(padded, _AROUND), axis=1)
-        leaps[1:-1] |= size > _LEAP * usual
-    return leaps
+        jumps[1:-1] |= size > _JUMP * usual
+    return jumps
 
 
 def _lagrange(nodes: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
-    """Return (K, M) weights of the known of (K, M) nodes for the polynomial's value at zero."""
-    apart = nodes[:, None, :] - nodes[:, :, None]
+    """Return (K, M) Lagrange weights at zero of those of (K, M) nodes that are ``known``."""
+    differences = nodes[:, None, :] - nodes[:, :, None]
     both = known[:, None, :] & known[:, :, None] & ~np.eye(nodes.shape[1], dtype=bool)
-    factors = np.divide(nodes[:, None, :], apart, out=np.ones_like(apart), where=both)
+    factors = np.divide(nodes[:, None, :], differences, out=np.ones_like(differences), where=both)
     weights: FloatArray = known * factors.prod(axis=2)
     return weights

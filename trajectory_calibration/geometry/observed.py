@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which directions have a say: what the motion leaves unobserved agrees with anything.
+"""Comparison of extrinsics along their observable directions only.
 
-A direction is unobserved where its standard deviation is above the limit of the settings. Metres
-and radians are compared in units of these limits, and directions are those of a covariance (its
-eigenvectors), not axes: the height of a tilted sensor is no axis of it.
+A direction is unobservable if its standard deviation exceeds the limit of the settings. Metres and
+radians are scaled by these limits. Directions are eigenvectors of a covariance, not axes: the
+height of a tilted sensor is oblique to its axes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Variance relative to that of the limits which is rounding.
+# Rounding of a variance, relative to that of the limits.
 _ROUNDING = 1e-16
 
 
 def misfit(error: FloatArray, V: FloatArray, limits: FloatArray) -> tuple[float, int]:
-    """Return chi-squared of (n,) errors along the observed directions, and how many these are.
+    """Return chi-squared of (n,) errors along observable directions, and its degrees of freedom.
 
     ``V`` (n, n) is the covariance of the errors, ``limits`` (n,) or (6,), then repeated.
     """
@@ -30,7 +30,7 @@ def misfit(error: FloatArray, V: FloatArray, limits: FloatArray) -> tuple[float,
 
 
 def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return the (k, n) rows K along observed directions with ``K V K^T = 1``; as ``misfit``."""
+    """Return (k, n) rows K along observable directions with ``K V K^T = 1``; see ``misfit``."""
     unit = np.tile(limits, len(V) // len(limits))
     values, vectors = np.linalg.eigh(0.5 * (V + V.T) / np.outer(unit, unit))
     known = values < 1.0
@@ -40,7 +40,7 @@ def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
 
 
 def unobserved_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return (6, K) the unobserved directions of a (6, 6) covariance, as long as their limits."""
+    """Return the (6, K) unobservable directions of a (6, 6) covariance, scaled to the limits."""
     values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
     found: FloatArray = limits[:, None] * vectors[:, values >= 1.0]
     return found
@@ -53,7 +53,7 @@ def along(unobserved: FloatArray, step: FloatArray, limits: FloatArray) -> Float
 
 
 def without(weight: FloatArray, unobserved: FloatArray) -> FloatArray:
-    """Return the (6, 6) weight of a step of which the (6, K) unobserved directions say nothing."""
+    """Return a (6, 6) weight matrix with zero weight along (6, K) unobservable directions."""
     if not unobserved.shape[1]:
         return weight
     lost = weight @ unobserved
@@ -64,17 +64,16 @@ def without(weight: FloatArray, unobserved: FloatArray) -> FloatArray:
 def drawn_near(
     T: FloatArray, P: FloatArray, near: FloatArray, limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return an answer (4, 4) that is as close to another as its unobserved directions let it be.
+    """Move an answer (4, 4) along its unobservable directions to be closest to another.
 
-    Where an answer lies along them means nothing, and may be hundreds of metres off. They are as
-    sure as the rotations are: what these leave of the way that the answer is moved is added to its
-    (6, 6) covariance, which is returned beside it.
+    Its position along them is arbitrary, and may be hundreds of metres off. Their axes are as
+    uncertain as the rotation: this is added to the (6, 6) covariance, which is returned too.
     """
     unobserved = unobserved_directions(P, limits)
     if not unobserved.shape[1]:
         return T, P
-    way = along(unobserved, se3.step_between(near, T), limits)
-    swung = se3.skew(way[:3])
+    shift = along(unobserved, se3.step_between(near, T), limits)
+    swung = se3.skew(shift[:3])
     wider = P.copy()
     wider[:3, :3] += swung @ P[3:, 3:] @ swung.T
-    return se3.moved(T, -way), wider
+    return se3.moved(T, -shift), wider

@@ -25,12 +25,11 @@ FloatArray = NDArray[np.float64]
 # cut after the terms kept below, is exact to machine precision.
 _SMALL_ANGLE = 1e-2
 
-# Beyond this angle (radians) a rotation vector is not told from its opposite: half a turn one way
-# is half a turn the other way, and noise chooses.
+# Beyond this angle (radians) rotation vectors are not used: near 180 deg noise may flip the axis.
 LARGEST_TURN = 2.6
 
-# A share of the largest eigenvalue of a sum of squares that is rounding: the square of the tilt,
-# 1e-6 rad, that files with nine digits keep.
+# Rounding, relative to the largest eigenvalue of a sum of squares: files with nine digits keep a
+# tilt of 1e-6 rad.
 ROUNDING = 1e-12
 
 
@@ -81,8 +80,7 @@ def quaternion_to_rotation(quaternions_xyzw: ArrayLike) -> FloatArray:
 def rotation_to_quaternion(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 4) unit quaternions x, y, z, w (w >= 0) of (..., 3, 3) rotations.
 
-    Of the four ways to read a quaternion off a matrix, the one with the largest pivot is taken,
-    so that no angle, half a turn included, loses digits.
+    Of the four formulas, the one with the largest pivot is used, so no angle loses digits.
     """
     R = np.asarray(rotations, dtype=np.float64)
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
@@ -92,7 +90,7 @@ def rotation_to_quaternion(rotations: ArrayLike) -> FloatArray:
     for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
         q[..., i] = R[..., j, k] - R[..., k, j]
     q[..., 3] = 1 + trace
-    # It is the largest of all turns below 90 degrees, which most arrays hold and hardly another.
+    # w is the largest pivot for angles below 90 degrees, the usual case.
     large = trace <= 1
     if np.any(large):
         q[large] = _row_with_largest_pivot(R[large], diagonal[large], trace[large], q[large])
@@ -117,11 +115,11 @@ def _row_with_largest_pivot(
 def roll_pitch_yaw(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) angles about the fixed x, then y, then z axis, as URDF writes them.
 
-    Radians; ``R = R_z(yaw) R_y(pitch) R_x(roll)``. Roll is read off what yaw leaves of R, so that
-    the three together repeat R to the last digit even where pitch is near 90 degrees.
+    Radians; ``R = R_z(yaw) R_y(pitch) R_x(roll)``. Roll is computed from R after removal of yaw,
+    so that the three reproduce R to the last digit even with pitch near 90 degrees.
     """
     R = np.asarray(rotations, dtype=np.float64)
-    # Upright by rounding alone, roll and yaw turn about one axis: roll takes all of it.
+    # At pitch 90 degrees roll and yaw have the same axis: roll gets the whole angle.
     level = np.hypot(R[..., 0, 0], R[..., 1, 0]) > 1e-13
     yaw = np.where(level, np.arctan2(R[..., 1, 0], R[..., 0, 0]), 0.0)
     c, s = np.cos(yaw), np.sin(yaw)
@@ -140,7 +138,7 @@ def rotation_from_roll_pitch_yaw(angles: ArrayLike) -> FloatArray:
 def exp_so3(rotation_vectors: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations of (..., 3) rotation vectors (radians)."""
     phi = np.asarray(rotation_vectors, dtype=np.float64)
-    # Not quite zero, where sin(half) / half is one and not zero over zero.
+    # Not exactly zero, so that sin(half) / half is one.
     half = np.maximum(0.5 * np.sqrt(np.sum(phi * phi, axis=-1, keepdims=True)), 1e-150)
     q = np.concatenate([0.5 * np.sin(half) / half * phi, np.cos(half)], axis=-1)
     return quaternion_to_rotation(q)
@@ -150,8 +148,8 @@ def log_so3(rotations: ArrayLike) -> FloatArray:
     """Return the (..., 3) rotation vectors, of length at most pi, of (..., 3, 3) rotations."""
     q = rotation_to_quaternion(rotations)
     sine = np.sqrt(np.sum(q[..., :3]**2, axis=-1, keepdims=True))
-    # A copy, because NumPy takes its vectorised or its scalar arctan2, which differ in the last
-    # bit, by where a strided operand happens to lie in memory: an answer could not be repeated.
+    # A copy: for strided operands NumPy chooses between its vectorised and its scalar arctan2,
+    # which differ in the last bit, by the memory address, and answers would not be reproducible.
     cosine = np.ascontiguousarray(q[..., 3:])
     angle = 2.0 * np.arctan2(sine, cosine)
     # angle / sine tends to 2 as the rotation vanishes.
@@ -236,7 +234,7 @@ def adjoint(poses: ArrayLike) -> FloatArray:
 def moved(poses: ArrayLike, steps: ArrayLike) -> FloatArray:
     """Return (..., 4, 4) poses after (..., 6) steps: ``t + dt``, ``exp(dtheta) R``.
 
-    Along and about the fixed axes of the parent, as the covariance of an extrinsic counts them.
+    Along and about the axes of the parent, as in the covariance of an extrinsic.
     """
     T = np.asarray(poses, dtype=np.float64)
     step = np.asarray(steps, dtype=np.float64)
@@ -247,8 +245,8 @@ def moved(poses: ArrayLike, steps: ArrayLike) -> FloatArray:
 def step_between(start: ArrayLike, end: ArrayLike) -> FloatArray:
     """Return the (..., 6) steps with which ``moved`` takes (..., 4, 4) poses to others."""
     T_0, T_1 = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    turn = log_so3(T_1[..., :3, :3] @ np.swapaxes(T_0[..., :3, :3], -1, -2))
-    return np.concatenate([T_1[..., :3, 3] - T_0[..., :3, 3], turn], axis=-1)
+    rotation = log_so3(T_1[..., :3, :3] @ np.swapaxes(T_0[..., :3, :3], -1, -2))
+    return np.concatenate([T_1[..., :3, 3] - T_0[..., :3, 3], rotation], axis=-1)
 
 
 def inverse_step(pose: ArrayLike) -> FloatArray:
