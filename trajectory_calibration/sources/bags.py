@@ -24,7 +24,6 @@ from trajectory_calibration.sources.storage import (
     find_bag,
     open_storage,
     unpacked,
-    unpacked_file,
 )
 from trajectory_calibration.sources.topics import (
     join_tracks,
@@ -239,10 +238,8 @@ class _OpenFile:
         self.storage: Storage | None = None
         try:
             with border(lambda reason: setattr(self, 'damage', reason)):
-                content, damage = unpacked_file(path, stack)
-                self.storage = open_storage(content, count=count)
-                stack.callback(self.storage.close)
-                self.damage = self.storage.damage = damage or self.storage.damage
+                self.storage = open_storage(path, stack, count=count)
+                self.damage = self.storage.damage
         except SourceError as error:
             raise SourceError(f'{path}: {error}') from error
 

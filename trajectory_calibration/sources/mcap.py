@@ -6,13 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 import mmap
-from pathlib import Path
 import struct
 from zlib import crc32
 
-from trajectory_calibration.sources.channels import Channel, plain_type
+from trajectory_calibration.sources.channels import Channel, plain_type, Storage
 from trajectory_calibration.sources.packing import unpack
-from trajectory_calibration.sources.records import Gathered, RecordFile
 
 _MAGIC = b'\x89MCAP0\r\n'
 _FOOTER = 0x02
@@ -23,53 +21,52 @@ _MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 _FOOTER_BYTES = 29
 
 
-class McapFile(RecordFile):
+class McapFile(Storage):
     """An open mcap file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, data: mmap.mmap) -> None:
+        if data[:len(_MAGIC)] != _MAGIC:
+            raise ValueError('it does not begin as an mcap file does')
+        self._data = data
         self._schemas: dict[int, str] = {}
         self._chunks: list[int] = []
-        super().__init__(path)
+        super().__init__()
 
     def _index(self) -> dict[int, int] | None:
         """Read what stands behind the data."""
-        if self._data[:len(_MAGIC)] != _MAGIC:
-            raise ValueError('it does not begin as an mcap file does')
         end = len(self._data) - len(_MAGIC) - _FOOTER_BYTES
         if end < 0 or self._data[-len(_MAGIC):] != _MAGIC or self._data[end] != _FOOTER:
             self.note_damage('its end is missing')
             return None
-        start = _uint(self._data, end + 9, 8)
+        start, crc = _uint(self._data, end + 9, 8), _uint(self._data, end + 25, 4)
         if not start:
             return None
-        counts, found = None, None
-        with self.noting('its index is damaged: {}'):
-            crc = _uint(self._data, end + 25, 4)
-            if crc and crc32(self._data[start:end + 25]) != crc:
-                raise ValueError('wrong checksum')
-            for opcode, body in _records(self._data, start, end):
-                if opcode == _STATISTICS:
-                    found = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
-                elif opcode == _CHUNK_INDEX:
-                    self._chunks.append(_uint(body, 16, 8))
-                else:
-                    self._note(opcode, body)
-            if not crc:
-                self._confirm()
-            counts = found
-        if counts is None:
-            # What was understood of it is not trusted.
-            for kept in (self._declared, self._schemas, self._chunks):
-                kept.clear()
+        if crc and crc32(self._data[start:end + 25]) != crc:
+            raise ValueError('wrong checksum')
+        counts, chunks = None, []
+        while start < end:
+            opcode, size = _HEAD.unpack_from(self._data, start)
+            body = self._data[start + _HEAD.size:start + _HEAD.size + size]
+            start += _HEAD.size + size
+            if start > end:
+                raise ValueError('a record is cut off')
+            if opcode == _STATISTICS:
+                counts = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
+            elif opcode == _CHUNK_INDEX:
+                chunks.append(_uint(body, 16, 8))
+            else:
+                self._note(opcode, body)
+        if not crc:
+            self._confirm()
+        self._chunks = chunks
         return counts
 
     def _confirm(self) -> None:
         """Raise ValueError where the channels of the first chunk are not those of the index."""
         indexed = dict(self._declared)
-        for opcode, start, end in self._walk():
-            if opcode == _CHUNK:
-                self._gather_chunk(start, end, Gathered(self._declared, ()))
-                break
+        chunk = next((place for opcode, *place in self._walk() if opcode == _CHUNK), None)
+        if chunk:
+            list(self._messages(*self._unpacked(*chunk)))
         if self._declared != indexed:
             raise ValueError('it differs from the data')
 
@@ -80,19 +77,13 @@ class McapFile(RecordFile):
         elif opcode == _CHANNEL and len(body) >= 4:
             topic, end = _text(body, 4)
             encoding, _ = _text(body, end)
-            self._declared[_uint(body, 0, 2)] = Channel(
-                topic, plain_type(self._schemas.get(_uint(body, 2, 2), '')), 0, encoding)
+            self._declare(_uint(body, 0, 2), Channel(
+                topic, plain_type(self._schemas.get(_uint(body, 2, 2), '')), 0, encoding))
 
-    def _read(self, gathered: Gathered) -> Iterator[None]:
+    def _read(self) -> Iterator[tuple[int, int, bytes]]:
         for opcode, start, end in self._walk():
-            if opcode == _CHUNK:
-                self._gather_chunk(start, end, gathered)
-            elif opcode == _MESSAGE:
-                self._gather(self._data, start, end, gathered)
-            else:
-                self._note(opcode, self._data[start + _HEAD.size:end])
-                gathered.clear()
-            yield
+            yield from self._messages(*(
+                self._unpacked(start, end) if opcode == _CHUNK else (self._data, start, end)))
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, start and end of each record of the data, over what is damaged."""
@@ -102,71 +93,55 @@ class McapFile(RecordFile):
             end = offset + _HEAD.size + size
             if opcode in (_DATA_END, _FOOTER):
                 return
-            whole = end <= last or opcode == _CHUNK
+            known = 0 < opcode < _DATA_END
+            if known and (end <= last or opcode == _CHUNK):
+                yield opcode, offset, min(end, last)
             # From 0x80 on, opcodes are for extensions.
-            if 0 < opcode < _DATA_END or opcode >= 0x80:
-                if whole:
-                    yield opcode, offset, min(end, last)
-                if end <= last:
-                    offset = end
-                    continue
+            if end <= last and (known or opcode >= 0x80):
+                offset = end
+                continue
             self.note_damage(f'its record at byte {offset} is damaged or cut off')
             # The index, where it is whole, tells where the next chunk begins.
             offset = min((chunk for chunk in self._chunks if chunk > offset), default=last)
         self.note_damage('its end is missing')
 
-    def _gather_chunk(self, start: int, end: int, gathered: Gathered) -> None:
-        """Take the messages of a chunk; none where it is damaged, what is there if cut."""
+    def _unpacked(self, start: int, end: int) -> tuple[bytes, int, int]:
+        """Return the records of a chunk, where they begin, and where they end.
+
+        None where it is damaged, what is there if cut.
+        """
         compression, size, crc, data = '', 0, 0, b''
         damaged = f'its chunk at byte {start} is damaged'
         with self.noting(f'{damaged} ({{}})'):
             record = self._data[start + _HEAD.size:end]
             size, crc = struct.unpack_from('<QI', record, 16)
             compression, at = _text(record, 28)
-            data = unpack(record[at + 8:at + 8 + _uint(record, at, 8)], compression, size)
+            data = unpack(record[at + 8:at + 8 + _uint(record, at, 8)], compression)
         if len(data) != size or (crc and crc32(data) != crc):
             self.note_damage(f'{damaged} (wrong size or checksum)')
             # Of a last chunk that is cut off, the beginning is whole.
             data = data if len(data) < size and not compression else b''
         # The head of a message may be read beyond the end.
-        self._gather(data + bytes(_MESSAGE_HEAD.size), 0, len(data), gathered)
+        return data + bytes(_MESSAGE_HEAD.size), 0, len(data)
 
-    def _gather(
-        self, data: bytes | mmap.mmap, offset: int, end: int, gathered: Gathered,
-    ) -> None:
-        """Take the messages between two offsets; note channels on the way."""
-        head = _MESSAGE_HEAD.unpack_from
+    def _messages(
+        self, data: bytes | mmap.mmap, offset: int, end: int,
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield the messages between two offsets; note channels on the way."""
+        wanted = self._wanted
         while offset + _MESSAGE_HEAD.size <= len(data) and offset < end:
-            opcode, size, channel_id, _, time_ns, _ = head(data, offset)
-            stop = offset + _HEAD.size + size
-            if stop > end or not 0 < opcode < _DATA_END:
+            opcode, size, channel_id, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(data, offset)
+            start, offset = offset, offset + _HEAD.size + size
+            if offset > end or not 0 < opcode < _DATA_END:
                 self.note_damage('records inside a chunk are damaged')
                 return
             if opcode == _MESSAGE:
-                target = gathered[channel_id]
-                if target is None and channel_id not in self._declared:
+                if wanted.get(channel_id):
+                    yield channel_id, time_ns, data[start + _MESSAGE_HEAD.size:offset]
+                elif channel_id not in wanted:
                     self.note_damage('messages of a channel that is not declared')
-                if target is not None:
-                    received, messages = target
-                    received.append(time_ns)
-                    if messages is not None:
-                        messages.append(data[offset + _MESSAGE_HEAD.size:stop])
-                    gathered.count += 1
-            elif opcode in (_SCHEMA, _CHANNEL):
-                self._note(opcode, data[offset + _HEAD.size:stop])
-                gathered.clear()
-            offset = stop
-
-
-def _records(data: mmap.mmap, offset: int, end: int) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of the records of the index."""
-    while offset < end:
-        opcode, size = _HEAD.unpack_from(data, offset)
-        start = offset + _HEAD.size
-        if start + size > end:
-            raise ValueError('a record is cut off')
-        yield opcode, data[start:start + size]
-        offset = start + size
+            else:
+                self._note(opcode, data[start + _HEAD.size:offset])
 
 
 def _uint(data: bytes | mmap.mmap, offset: int, size: int) -> int:

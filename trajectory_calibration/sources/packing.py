@@ -17,8 +17,8 @@ ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _BLOCK = 1 << 22
 
 
-def unpack(data: bytes, compression: str, size: int) -> bytes:
-    """Return the content of compressed data of a known size.
+def unpack(data: bytes, compression: str) -> bytes:
+    """Return the content of compressed data; of zstd, of one frame, as far as it goes.
 
     Raise MissingPackageError where the package that this needs is not installed, ValueError where
     the format is not known.
@@ -30,25 +30,13 @@ def unpack(data: bytes, compression: str, size: int) -> bytes:
     if compression == 'lz4':
         return bytes(require('lz4.frame').decompress(data))
     if compression == 'zstd':
-        return unpack_zstd(data, size)
+        return bytes(_zstd().decompress(data))
     raise ValueError(f'compression {compression!r} is not known')
-
-
-def unpack_zstd(data: bytes, size: int = 0) -> bytes:
-    """Return the content of one zstd frame; its size where it does not declare it."""
-    module = _zstd()
-    if hasattr(module, 'ZstdDecompressor') and not hasattr(module, 'ZstdFile'):
-        # The package zstandard, which Ubuntu has.
-        return bytes(module.ZstdDecompressor().decompress(data, max_output_size=size))
-    return bytes(module.decompress(data))
 
 
 def unpack_zstd_file(packed: Path, target: Path) -> str:
     """Write the content of a .zstd file; return why that ended too soon, empty if it did not."""
-    decompressor = _zstd().ZstdDecompressor()
-    # The package zstandard, which Ubuntu has, tells a stream from a block.
-    decompressor = getattr(decompressor, 'decompressobj', lambda: decompressor)()
-    reasons: list[str] = []
+    decompressor, reasons = _zstd(), list[str]()
     with packed.open('rb') as source, target.open('wb') as sink, border(reasons.append):
         while block := source.read(_BLOCK):
             sink.write(decompressor.decompress(block))
@@ -58,8 +46,11 @@ def unpack_zstd_file(packed: Path, target: Path) -> str:
 
 
 def _zstd() -> Any:
-    # The first is in Python from 3.14 on, the second is what Ubuntu has.
+    """Return what unpacks one frame of zstd, piece by piece."""
+    # The first is in Python from 3.14 on.
     for name in ('compression.zstd', 'backports.zstd', 'zstandard'):
         with suppress(ModuleNotFoundError):
-            return import_module(name)
+            decompressor = import_module(name).ZstdDecompressor()
+            # That of zstandard, which Ubuntu has, takes no pieces.
+            return getattr(decompressor, 'decompressobj', lambda: decompressor)()
     return require('backports.zstd')

@@ -5,16 +5,25 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 import json
 from pathlib import Path
 import sqlite3
 
-from trajectory_calibration.sources.channels import Batch, Channel, plain_type, Storage
+from trajectory_calibration.sources.channels import Channel, plain_type, Storage
 
-# Few enough rows for the cache; enough messages to make NumPy's overhead vanish.
-_BLOCK, _BATCH = 256, 4096
+# Few enough rows for the cache.
+_BLOCK = 256
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open a file that another may be writing, or that is cut off."""
+    connection = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
+    # Without it, sqlite refuses a file that is shorter than its header says. The file is open
+    # read-only: nothing is written.
+    connection.execute('PRAGMA writable_schema = ON')
+    connection.execute('PRAGMA mmap_size = 2147483648')
+    return connection
 
 
 class SqliteFile(Storage):
@@ -23,69 +32,41 @@ class SqliteFile(Storage):
     The counts of its channels are those of its rows; zero where they were not to be counted.
     """
 
-    def __init__(self, path: Path, *, count: bool) -> None:
-        self._connection = sqlite3.connect(
-            f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
-        with ExitStack() as failed:
-            failed.callback(self.close)
-            # Without it, sqlite refuses a file that is shorter than its header says. The file
-            # is open read-only: nothing is written.
-            self._connection.execute('PRAGMA writable_schema = ON')
-            self._connection.execute('PRAGMA mmap_size = 2147483648')
-            self._topics = {
-                topic_id: Channel(str(name), plain_type(str(msgtype)), 0, str(encoding))
-                for topic_id, name, msgtype, encoding in self._connection.execute(
-                    'SELECT id, name, type, serialization_format FROM topics')}
-            failed.pop_all()
-        self.channels = self._counted() if count else list(self._topics.values())
+    index_damage = '{}'
 
-    def messages(self, topics: Collection[str]) -> Iterator[Batch]:
-        """Yield the messages of some topics in the order of the file."""
-        wanted = [key for key, channel in self._topics.items() if channel.topic in topics]
-        gathered: dict[int, tuple[list[int], list[bytes]]] = {key: ([], []) for key in wanted}
-        for rows in self._rows(wanted):
-            for _, topic_id, time, message in rows:
-                received, messages = gathered[topic_id]
-                received.append(time)
-                messages.append(message)
-            for topic_id, lists in gathered.items():
-                if len(lists[0]) >= _BATCH:
-                    yield Batch(self._topics[topic_id], *lists)
-                    gathered[topic_id] = [], []
-        for topic_id, lists in gathered.items():
-            if lists[0]:
-                yield Batch(self._topics[topic_id], *lists)
+    def __init__(self, connection: sqlite3.Connection, *, count: bool) -> None:
+        self._connection, self._count = connection, count
+        super().__init__()
+        # A row may be lost without the count of the rows showing it.
+        self.counted = False
 
-    def close(self) -> None:
-        """Close the file."""
-        self._connection.close()
-
-    def _counted(self) -> list[Channel]:
-        """Return the channels with the numbers of their rows."""
-        counts: Counter[int] = Counter()
+    def _index(self) -> Mapping[int, int]:
+        """Return the numbers of the rows."""
+        self._declare_topics()
+        if not self._count:
+            return {}
+        counts: Counter[int] = Counter(dict(self._connection.execute(
+            'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id')))
         with self.noting():
-            counts.update(dict(self._connection.execute(
-                'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id')))
             # The index of the times, where there is one, is a second list of all rows.
             ((indexed,),) = self._connection.execute('SELECT COUNT(*) FROM messages')
             missing = indexed - sum(counts.values())
             if missing > 0:
                 self.note_damage(f'its table lacks {missing} of the {indexed} rows of its index')
-        if self.damage and not counts:
-            for rows in self._rows(list(self._topics)):
-                counts.update(row[1] for row in rows)
-        if set(counts) - set(self._topics):
+        if set(counts) - set(self._declared):
             self.note_damage('messages of a topic that is not declared')
-        return [channel._replace(messages=counts[key])
-                for key, channel in self._topics.items()]
+        return counts
 
-    def _rows(self, topic_ids: list[int]) -> Iterator[list[tuple[int, int, int, bytes]]]:
-        """Yield ids, topics, times and messages of some topics.
+    def _declare_topics(self) -> None:
+        for key, name, msgtype, encoding in self._connection.execute(
+                'SELECT id, name, type, serialization_format FROM topics'):
+            self._declare(key, Channel(str(name), plain_type(str(msgtype)), 0, str(encoding)))
 
-        Damaged pages are stepped over by ever longer strides.
-        """
+    def _read(self) -> Iterator[tuple[int, int, bytes]]:
+        """Step over damaged pages by ever longer strides."""
+        self._declare_topics()
+        wanted = json.dumps([key for key, asked in self._wanted.items() if asked])
         after, stride, size = 0, 1, _BLOCK
-        wanted = json.dumps(topic_ids)
         # Behind so many rows of which none can be read, there are none left.
         while stride < 2**32:
             try:
@@ -95,18 +76,17 @@ class SqliteFile(Storage):
                 while rows := cursor.fetchmany(size):
                     # A damaged page may give any number for a row: never go back.
                     after, stride = max(after, rows[-1][0]), 1
-                    whole = [row for row in rows
-                             if type(row[2]) is int and type(row[3]) is bytes]
-                    if len(whole) < len(rows):
-                        self.note_damage('some of its rows hold no message')
-                    yield whole
+                    for _, key, time, message in rows:
+                        if type(time) is int and type(message) is bytes:
+                            yield key, time, message
+                        else:
+                            self.note_damage('some of its rows hold no message')
+                return
             except sqlite3.Error as error:
                 self.note_damage(str(error))
-            else:
-                return
+            # A block is lost with its first damaged row: from here on one by one.
             if size > 1:
-                # A block is lost with its first damaged row: from here on one by one.
                 size = 1
-                continue
-            after += stride
-            stride *= 2
+            else:
+                after += stride
+                stride *= 2

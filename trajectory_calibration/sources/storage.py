@@ -5,15 +5,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import closing, ExitStack
 from dataclasses import dataclass, field
+from mmap import ACCESS_READ, mmap
 from pathlib import Path, PurePath
 import re
 from tempfile import TemporaryDirectory
 
 from trajectory_calibration.errors import SourceError
 from trajectory_calibration.sources.channels import Batch, border, Storage
-from trajectory_calibration.sources.packing import unpack_zstd, unpack_zstd_file, ZSTD_MAGIC
+from trajectory_calibration.sources.packing import unpack, unpack_zstd_file, ZSTD_MAGIC
 from trajectory_calibration.sources.text import refuse_pointer
 
 _STORAGE_SUFFIXES = ('.mcap', '.db3')
@@ -55,38 +56,41 @@ def find_bag(path: Path) -> Bag:
     return Bag(path, (path,), notes=_log_note(path))
 
 
-def unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
-    """Return a file of a bag, or where it is compressed its content, and the damage found.
+def open_storage(path: Path, stack: ExitStack, *, count: bool) -> Storage:
+    """Open a file of a bag, or where it is compressed its content; it closes with the ``stack``.
 
-    The content lies in a folder that goes with the ``stack``. Raise SourceError for a pointer of
-    Git LFS, or where a package is missing that unpacks the file; ValueError where it is empty.
+    ``count`` asks for numbers of messages also where that takes time. Raise SourceError for a
+    pointer of Git LFS, or where a package is missing that unpacks the file; a damaged file raises
+    any exception.
     """
     with path.open('rb') as stream:
         beginning = stream.read(64)
     refuse_pointer(path, beginning)
     if not beginning:
         raise ValueError('it is empty')
-    if not beginning.startswith(ZSTD_MAGIC):
-        return path, ''
-    folder = stack.enter_context(TemporaryDirectory(prefix='trajectory_calibration_'))
-    unpacked = Path(folder) / f'bag{_storage_suffix(path)}'
-    return unpacked, unpack_zstd_file(path, unpacked)
+    damage = ''
+    if beginning.startswith(ZSTD_MAGIC):
+        folder = stack.enter_context(TemporaryDirectory(prefix='trajectory_calibration_'))
+        packed, path = path, Path(folder) / f'bag{_storage_suffix(path)}'
+        damage = unpack_zstd_file(packed, path)
+    storage = _opened(path, stack, count=count)
+    storage.damage = damage or storage.damage
+    return storage
 
 
-def open_storage(path: Path, *, count: bool) -> Storage:
-    """Open a file of a bag; ``count`` asks for numbers of messages also where that takes time.
-
-    A damaged file raises any exception.
-    """
+def _opened(path: Path, stack: ExitStack, *, count: bool) -> Storage:
     # Each of them loads where such a file is read.
+    if path.suffix == '.db3':
+        from trajectory_calibration.sources.sqlite import connect, SqliteFile
+        return SqliteFile(stack.enter_context(closing(connect(path))), count=count)
+    with path.open('rb') as stream:
+        # Mapped, not read: a bag may be larger than the memory.
+        data = stack.enter_context(mmap(stream.fileno(), 0, access=ACCESS_READ))
     if path.suffix == '.mcap':
         from trajectory_calibration.sources.mcap import McapFile
-        return McapFile(path)
-    if path.suffix == '.db3':
-        from trajectory_calibration.sources.sqlite import SqliteFile
-        return SqliteFile(path, count=count)
+        return McapFile(data)
     from trajectory_calibration.sources.rosbag1 import Ros1File
-    return Ros1File(path)
+    return Ros1File(data)
 
 
 def unpacked(batch: Batch) -> Batch:
@@ -104,7 +108,7 @@ def _unpacked(message: bytes) -> bytes:
         return message
     # What is no message is counted as one that cannot be read.
     with border(lambda _: None):
-        return unpack_zstd(message)
+        return unpack(message, 'zstd')
     return b''
 
 
