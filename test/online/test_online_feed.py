@@ -95,7 +95,7 @@ def test_a_wrong_stamp_in_a_path_costs_neither_memory_nor_the_motions_around_it(
     # With an age that reaches so far, it is a pose like any other.
     patient = PoseBuffer(BufferLimits(max_age_s=4e9))
     path = cdr.parse_path(message)
-    patient.replace(path.stamps_ns, path.poses, (path.frame, ''))
+    patient.replace(path.stamps_ns, path.poses, path.frames)
     assert np.ptp(patient.span_ns) > 10**18
     assert len(measure((patient, patient), (0, 0))) == POSES
     assert len(measure((buffer, buffer), (0, 0))) == POSES - 1

@@ -61,12 +61,13 @@ def test_a_block_of_mixed_lengths_frames_and_orders_of_bytes(msgtype, data):
         st.tuples(_STAMPS, _POSES, _NAMES, _NAMES, st.booleans()), max_size=12))
     messages = [_serialize(_build(msgtype, *sample), little_endian=little_endian)
                 for *sample, little_endian in samples]
-    block = cdr.parse_poses([*messages, b'damaged'], msgtype)
-    assert block.frame_index[-1] == -1
-    assert len(block.frame_index) == len(messages) + 1
+    groups, damaged = cdr.parse_poses([*messages, b'damaged'], msgtype)
+    assert damaged == 1
+    found = {k: (stamp_ns, group.frames, tuple(pose)) for group in groups
+             for k, stamp_ns, pose in zip(*group[1:], strict=True)}
+    assert sorted(found) == list(range(len(messages)))
     for k, message in enumerate(messages):
-        found = (block.stamps_ns[k], block.frames[block.frame_index[k]], tuple(block.poses[k]))
-        assert found == cdr.parse_pose(message, msgtype) == _read(message, msgtype)
+        assert found[k] == cdr.parse_pose(message, msgtype) == _read(message, msgtype)
 
 
 @settings(max_examples=60, deadline=None)
@@ -77,7 +78,7 @@ def test_a_path(names, frame, padding, little_endian):
     for pose, name in zip(message.poses, names, strict=True):
         pose.header.frame_id = name
     path = cdr.parse_path(_serialize(message, little_endian=little_endian) + bytes(padding))
-    assert path.frame == frame
+    assert path.frames == (frame, '')
     np.testing.assert_array_equal(path.stamps_ns, stamps_ns)
     np.testing.assert_array_equal(path.poses, poses.reshape(-1, 7))
 
@@ -91,7 +92,7 @@ def test_a_path_of_one_element_frame(frame, element_frame, count, ros1):
     data = bytes(ROS1.serialize_ros1(message, message.__msgtype__)) if ros1 else (
         _serialize(message))
     path = cdr.parse_path(data, ros1=ros1)
-    assert path.frame == frame
+    assert path.frames == (frame, '')
     np.testing.assert_array_equal(path.stamps_ns, stamps_ns)
     np.testing.assert_array_equal(path.poses, poses)
 
@@ -102,7 +103,7 @@ def test_every_cut_is_refused(msgtype):
     data = _serialize(_build(msgtype, stamps_ns[0], poses[0], 'map', 'lidar'))
     for end in range(len(data)):
         assert cdr.parse_pose(data[:end], msgtype) is None
-        assert cdr.parse_poses([data[:end]], msgtype).frame_index.tolist() == [-1]
+        assert cdr.parse_poses([data[:end]], msgtype) == ([], 1)
     assert cdr.parse_pose(data + bytes(4), msgtype) is None
 
 
@@ -128,7 +129,7 @@ def test_flipped_bytes_never_raise_nor_disagree(msgtype, seed):
         path = cdr.parse_path(data)
         if path is not None:
             expected = ROS2.deserialize_cdr(data, msgtype)
-            assert path.frame == expected.header.frame_id
+            assert path.frames == (expected.header.frame_id, '')
             np.testing.assert_array_equal(path.poses[:, 0], [
                 item.pose.position.x for item in expected.poses])
             np.testing.assert_array_equal(path.stamps_ns, [
@@ -141,6 +142,4 @@ def test_flipped_bytes_never_raise_nor_disagree(msgtype, seed):
 
 
 def test_empty_block():
-    block = cdr.parse_poses([], cdr.POSE)
-    assert block.poses.shape == (0, 7)
-    assert block.frames == []
+    assert cdr.parse_poses([], cdr.POSE) == ([], 0)

@@ -31,7 +31,7 @@ class PoseFeed:
                 self._buffer.append(*sample)
                 return
         elif (path := parse_path(message)) is not None:
-            self._buffer.replace(path.stamps_ns, path.poses, (path.frame, ''))
+            self._buffer.replace(path.stamps_ns, path.poses, path.frames)
             return
         self._buffer.count_unreadable()
 

@@ -31,7 +31,6 @@ from trajectory_calibration.sources.topics import (
     TopicTrack,
     transform_track,
     transform_tree,
-    TransformCollector,
 )
 from trajectory_calibration.sources.transforms import names_frames, TransformTree
 
@@ -157,7 +156,7 @@ class BagReader:
 
     def _gather(
         self, types: dict[str, str], transforms: list[str], progress: Progress | None,
-    ) -> tuple[dict[str, list[tuple[str, TopicTrack]]], list[TransformCollector]]:
+    ) -> tuple[dict[str, list[tuple[str, TopicTrack]]], list[TopicCollector]]:
         """Read all bags once."""
         wanted = {**types, **dict.fromkeys(transforms, TF)}
         total = sum(channel.messages for channel in self.channels if channel.topic in wanted)
@@ -170,11 +169,11 @@ class BagReader:
                 progress(min(count, total), total)
 
         parts: dict[str, list[tuple[str, TopicTrack]]] = {topic: [] for topic in types}
-        tf: list[TransformCollector] = []
+        tf: list[TopicCollector] = []
         for bag in self._bags:
             for item in bag.files:
                 for topic, collector in item.read(wanted, step).items():
-                    if isinstance(collector, TransformCollector):
+                    if collector.msgtype == TF:
                         tf += [collector] if collector.count else []
                     else:
                         parts[topic].append((str(bag.path), collector.track()))
@@ -245,13 +244,11 @@ class _OpenFile:
 
     def read(
         self, types: dict[str, str], step: Callable[[int], None],
-    ) -> dict[str, TopicCollector | TransformCollector]:
+    ) -> dict[str, TopicCollector]:
         """Return what the file holds of some topics."""
         if self.storage is None:
             return {}
-        collectors: dict[str, TopicCollector | TransformCollector] = {
-            topic: TransformCollector(topic) if msgtype == TF else TopicCollector(topic, msgtype)
-            for topic, msgtype in types.items()}
+        collectors = {topic: TopicCollector(topic, msgtype) for topic, msgtype in types.items()}
         for batch in self.storage.messages(types.keys()):
             if batch.channel.msgtype == types[batch.channel.topic]:
                 collectors[batch.channel.topic].add(unpacked(batch))

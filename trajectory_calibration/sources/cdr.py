@@ -24,7 +24,6 @@ loop. A message that is shorter or longer than its fields is none.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 import struct
 from typing import NamedTuple
 
@@ -55,36 +54,17 @@ _MAX_GROUPS = 8
 TwoFrames = tuple[str, str]
 
 
-@dataclass(frozen=True, eq=False)
-class PoseBlock:
-    """Many pose messages.
+class Poses(NamedTuple):
+    """Poses between two frames.
 
     Attributes
     ----------
+    frames : header.frame_id and child_frame_id, empty where the type has none.
+    messages : (N,), which message each of them is of.
     stamps_ns : (N,) int64, header.stamp.
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw.
-    frame_index : (N,), index into ``frames``; -1 for a message that is damaged, whose stamp and
-        pose mean nothing.
-    frames : pairs of header.frame_id and child_frame_id.
 
     """
-
-    stamps_ns: NDArray[np.int64]
-    poses: FloatArray
-    frame_index: NDArray[np.intp]
-    frames: list[TwoFrames]
-
-
-class PathPoses(NamedTuple):
-    """The poses of one Path: header.frame_id, (N,) int64 stamps, (N, 7) poses as above."""
-
-    frame: str
-    stamps_ns: NDArray[np.int64]
-    poses: FloatArray
-
-
-class TransformRun(NamedTuple):
-    """Transforms between two frames: in which messages, (N,) stamps, (N, 7) poses as above."""
 
     frames: TwoFrames
     messages: NDArray[np.intp]
@@ -100,64 +80,39 @@ class _Place(NamedTuple):
     pose: int
 
 
-class _Layout(NamedTuple):
-    """Where the poses of a message are, its order of bytes, and which bytes decide that."""
-
-    places: list[_Place]
-    order: str
-    deciding: list[slice]
-
-
 def parse_pose(
     message: bytes, msgtype: str,
 ) -> tuple[int, TwoFrames, tuple[float, ...]] | None:
     """Return the pose of a message of one of ``POSE_TYPES``, or None where it is damaged.
 
-    That is header.stamp in nanoseconds; the frames, empty where the type has none; x, y, z (m),
-    qx, qy, qz, qw.
+    That is header.stamp in nanoseconds, the frames, and the pose, each as in ``Poses``.
     """
-    layout = _layout(message, msgtype)
-    if layout is None:
+    fields = _walked(message, msgtype)
+    if fields is None:
         return None
-    (frames, stamp, pose), = layout.places
-    sec, nanosec = struct.unpack_from(f'{layout.order}iI', message, stamp)
+    (frames, stamp, pose), = fields.places
+    sec, nanosec = struct.unpack_from(f'{fields.order}iI', message, stamp)
     return (sec * 1_000_000_000 + nanosec, frames,
-            struct.unpack_from(f'{layout.order}7d', message, pose))
+            struct.unpack_from(f'{fields.order}7d', message, pose))
 
 
-def parse_poses(messages: Sequence[bytes], msgtype: str, *, ros1: bool = False) -> PoseBlock:
-    """Return the poses of many messages of one of ``POSE_TYPES``."""
-    count = len(messages)
-    block = PoseBlock(
-        np.zeros(count, dtype=np.int64), np.zeros((count, 7)), np.full(count, -1), [])
-    for indices, rows, layout in _groups(messages, msgtype, ros1=ros1):
-        if layout is None:
-            continue
-        (place,) = layout.places
-        if place.frames not in block.frames:
-            block.frames.append(place.frames)
-        block.stamps_ns[indices], block.poses[indices] = _values(rows, place, layout.order)
-        block.frame_index[indices] = block.frames.index(place.frames)
-    return block
-
-
-def parse_transforms(
-    messages: Sequence[bytes], *, ros1: bool = False,
-) -> tuple[list[TransformRun], int]:
-    """Return the transforms of many TFMessages, and how many messages are damaged."""
-    runs: list[TransformRun] = []
+def parse_poses(
+    messages: Sequence[bytes], msgtype: str, *, ros1: bool = False,
+) -> tuple[list[Poses], int]:
+    """Return the poses of many messages of one type, any but Path, and how many are damaged."""
+    found: list[Poses] = []
     damaged = 0
-    for indices, rows, layout in _groups(messages, TF, ros1=ros1):
-        if layout is None:
+    for indices, rows, fields in _groups(messages, msgtype, ros1=ros1):
+        if fields is None:
             damaged += len(indices)
             continue
-        runs += [TransformRun(place.frames, indices, *_values(rows, place, layout.order))
-                 for place in layout.places]
-    return runs, damaged
+        found += [Poses(place.frames, indices, *_values(rows, place, fields.order))
+                  for place in fields.places]
+    return found, damaged
 
 
-def parse_path(message: bytes, *, ros1: bool = False) -> PathPoses | None:
-    """Return the poses of a Path, or None where it is damaged."""
+def parse_path(message: bytes, *, ros1: bool = False) -> Poses | None:
+    """Return the poses of a Path, in the frame of its header; None where it is damaged."""
     stamps_ns, poses = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 7))]
     try:
         fields = _Fields(message, ros1=ros1)
@@ -165,7 +120,8 @@ def parse_path(message: bytes, *, ros1: bool = False) -> PathPoses | None:
         left = fields.count()
         while left:
             start = fields.offset
-            place, size = fields.pose(child=False), fields.offset - start
+            fields.pose(child=False)
+            size = fields.offset - start
             rows = np.frombuffer(message, np.uint8, (len(message) - start) // size * size, start)
             rows = rows.reshape(-1, size)[:left]
             # Poses of equal names have one size, but for a first one that begins between words.
@@ -174,19 +130,20 @@ def parse_path(message: bytes, *, ros1: bool = False) -> PathPoses | None:
             equal = 1 if size % 8 and not ros1 else len(same) if same.all() else int(same.argmin())
             fields.offset = start + equal * size
             left -= equal
-            place = _Place(place.frames, place.stamp - start, place.pose - start)
-            stamps, numbers = _values(rows[:equal], place, fields.order)
+            stamps, numbers = _values(rows[:equal], fields.places[-1], fields.order, start)
             stamps_ns.append(stamps)
             poses.append(numbers)
     except (struct.error, ValueError):
         return None
-    return PathPoses(frame, np.concatenate(stamps_ns), np.concatenate(poses)) if (
-        fields.ended) else None
+    if not fields.ended:
+        return None
+    joined = np.concatenate(stamps_ns)
+    return Poses((frame, ''), np.zeros(len(joined), np.intp), joined, np.concatenate(poses))
 
 
 def _groups(
     messages: Sequence[bytes], msgtype: str, *, ros1: bool,
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.uint8], _Layout | None]]:
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.uint8], _Fields | None]]:
     """Yield which messages have one layout, None if damaged, and their (N, L) bytes."""
     lengths = np.fromiter(map(len, messages), dtype=np.intp, count=len(messages))
     for length in np.unique(lengths):
@@ -196,14 +153,14 @@ def _groups(
         for _ in range(_MAX_GROUPS):
             if not len(indices):
                 break
-            layout = _layout(messages[indices[0]], msgtype, ros1=ros1)
-            same = _same(rows, [slice(None)] if layout is None else layout.deciding)
+            fields = _walked(messages[indices[0]], msgtype, ros1=ros1)
+            same = _same(rows, [slice(None)] if fields is None else fields.deciding)
             # All of them, as they mostly are, need no copy.
-            yield (indices, rows, layout) if same.all() else (indices[same], rows[same], layout)
+            yield (indices, rows, fields) if same.all() else (indices[same], rows[same], fields)
             indices, rows = indices[~same], rows[~same]
         for k, index in enumerate(indices.tolist()):
             yield (indices[k:k + 1], rows[k:k + 1],
-                   _layout(messages[index], msgtype, ros1=ros1))
+                   _walked(messages[index], msgtype, ros1=ros1))
 
 
 def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool_]:
@@ -216,26 +173,27 @@ def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool
 
 
 def _values(
-    rows: NDArray[np.uint8], place: _Place, order: str,
+    rows: NDArray[np.uint8], place: _Place, order: str, start: int = 0,
 ) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the (N,) stamps and the (N, 7) poses at one place of (N, L) bytes."""
-    time = np.ascontiguousarray(rows[:, place.stamp:place.stamp + 8])
+    """Return (N,) stamps and (N, 7) poses at one place of (N, L) bytes, which begin at a byte."""
+    stamp, pose = place.stamp - start, place.pose - start
+    time = np.ascontiguousarray(rows[:, stamp:stamp + 8])
     sec = time.view(f'{order}i4')[:, 0].astype(np.int64)
-    poses = np.ascontiguousarray(rows[:, place.pose:place.pose + _POSE_BYTES])
+    poses = np.ascontiguousarray(rows[:, pose:pose + _POSE_BYTES])
     return (sec * 1_000_000_000 + time.view(f'{order}u4')[:, 1],
             poses.view(f'{order}f8').astype(np.float64))
 
 
-def _layout(message: bytes, msgtype: str, *, ros1: bool = False) -> _Layout | None:
-    """Return where the poses of a message are, or None where it is damaged."""
+def _walked(message: bytes, msgtype: str, *, ros1: bool = False) -> _Fields | None:
+    """Return a message of which all fields have been passed, or None where it is damaged."""
     try:
         fields = _Fields(message, ros1=ros1)
-        places = [fields.pose(child=msgtype in _WITH_CHILD)
-                  for _ in range(fields.count() if msgtype == TF else 1)]
+        for _ in range(fields.count() if msgtype == TF else 1):
+            fields.pose(child=msgtype in _WITH_CHILD)
     except (struct.error, ValueError):
         return None
     fields.offset += 8 * _REST.get(msgtype, 0)
-    return _Layout(places, fields.order, fields.deciding) if fields.ended else None
+    return fields if fields.ended else None
 
 
 class _Fields:
@@ -246,6 +204,7 @@ class _Fields:
     offset : where the next field begins.
     order : of the bytes, as ``struct`` writes it.
     deciding : the bytes so far that decide where the following ones are.
+    places : of the poses so far.
 
     """
 
@@ -256,17 +215,18 @@ class _Fields:
             raise ValueError('not plain CDR')
         self.order = '<' if ros1 or message[1] else '>'
         self.deciding = [slice(0, 0 if ros1 else 2)]
+        self.places: list[_Place] = []
 
     @property
     def ended(self) -> bool:
         """Whether nothing is left but padding, with which a writer may fill a word."""
         return 0 <= len(self._message) - self.offset <= (0 if self._ros1 else 3)
 
-    def pose(self, *, child: bool) -> _Place:
+    def pose(self, *, child: bool) -> None:
         """Pass a header, the name of a child, and a pose."""
         stamp, frame = self.header()
         frames: TwoFrames = (frame, self._text() if child else '')
-        return _Place(frames, stamp, self._pass(_POSE_BYTES, 8))
+        self.places.append(_Place(frames, stamp, self._pass(_POSE_BYTES, 8)))
 
     def header(self) -> tuple[int, str]:
         """Pass a header; return where its stamp begins, and its frame."""

@@ -52,5 +52,6 @@ def _zstd() -> Any:
         with suppress(ModuleNotFoundError):
             decompressor = import_module(name).ZstdDecompressor()
             # That of zstandard, which Ubuntu has, takes no pieces.
-            return getattr(decompressor, 'decompressobj', lambda: decompressor)()
+            of_pieces = getattr(decompressor, 'decompressobj', None)
+            return of_pieces() if of_pieces else decompressor
     return require('backports.zstd')

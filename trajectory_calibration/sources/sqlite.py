@@ -81,9 +81,10 @@ class SqliteFile(Storage):
                             yield key, time, message
                         else:
                             self.note_damage('some of its rows hold no message')
-                return
             except sqlite3.Error as error:
                 self.note_damage(str(error))
+            else:
+                return
             # A block is lost with its first damaged row: from here on one by one.
             if size > 1:
                 size = 1

@@ -158,107 +158,103 @@ class TopicTrack:
 
 
 class TopicCollector:
-    """Gathers the messages of one topic from one file."""
+    """Gathers the messages of one topic from one file.
+
+    Attributes
+    ----------
+    topic, msgtype : name and type.
+    count, unreadable : messages that were taken, and how many of them could not be read.
+    found : their poses, the messages counted from the first one.
+
+    """
 
     def __init__(self, topic: str, msgtype: str) -> None:
-        self.count = 0
-        self._topic, self._msgtype = topic, msgtype
-        self._ros1 = False
-        # A message that holds a Path, and when it was received.
-        self._held: tuple[bytes, int] | None = None
-        self._parts: list[TopicTrack] = []
+        self.topic, self.msgtype = topic, msgtype
+        self.count, self.unreadable = 0, 0
+        self.found: list[cdr.Poses] = []
+        self._received_ns = [np.zeros(0, np.int64)]
+        # The Path which counts so far: the message, which one it is, and whether of ROS 1.
+        self._held = b'', 0, False
 
     def add(self, batch: Batch) -> None:
         """Take messages in the order in which the recorder got them."""
+        ros1 = batch.channel.encoding == 'ros1'
+        self._received_ns.append(_stamps(batch.received_ns))
+        if self.msgtype == cdr.PATH:
+            for k, message in enumerate(batch.messages, self.count):
+                self._add_path(message, k, ros1=ros1)
+        else:
+            found, damaged = cdr.parse_poses(batch.messages, self.msgtype, ros1=ros1)
+            self.found += [
+                poses._replace(messages=poses.messages + self.count) for poses in found]
+            self.unreadable += damaged
         self.count += len(batch.messages)
-        self._ros1 = batch.channel.encoding == 'ros1'
-        received_ns = _stamps(batch.received_ns)
-        if self._msgtype == cdr.PATH:
-            for message, stamp_ns in zip(batch.messages, received_ns.tolist(), strict=True):
-                self._add_path(message, stamp_ns)
-            return
-        block = cdr.parse_poses(batch.messages, self._msgtype, ros1=self._ros1)
-        read = block.frame_index >= 0
-        self._parts.append(TopicTrack(
-            self._topic, self._msgtype, len(read), len(read) - np.count_nonzero(read),
-            block.stamps_ns, received_ns, block.poses, block.frame_index, tuple(block.frames),
-        ).only(read))
+
+    def received_ns(self) -> NDArray[np.int64]:
+        """Return when each message was received, (N,)."""
+        return np.concatenate(self._received_ns)
 
     def track(self) -> TopicTrack:
-        """Return everything that was taken."""
-        last = [self._path_track()] if self._msgtype == cdr.PATH else []
-        return join_tracks(self._topic, self._msgtype, self._parts + last)
+        """Return everything that was taken; of Paths those that may count."""
+        groups = [self.found] if self.found else []
+        unreadable = self.unreadable
+        if self.msgtype == cdr.PATH:
+            held = self._held_path()
+            unreadable += held is None and self.count > 0
+            groups = [[path] for path in (*self.found, held) if path is not None]
+        parts = []
+        for found in groups:
+            index, messages, stamps_ns, poses = _joined(found)
+            parts.append(TopicTrack(
+                self.topic, self.msgtype, 0, 0, stamps_ns, self.received_ns()[messages], poses,
+                index, tuple(item.frames for item in found)))
+        return replace(join_tracks(self.topic, self.msgtype, parts), messages=self.count,
+                       unreadable=unreadable)
 
-    def _add_path(self, message: bytes, received_ns: int) -> None:
+    def _add_path(self, message: bytes, index: int, *, ros1: bool) -> None:
         """Keep a path if it replaces the one that is held.
 
         A SLAM publishes its whole optimised path again and again: the last one counts, but for
         one without a usable pose. Paths grow: only a shorter one is looked into. The one that is
         held stays as one of its own where that begins after it.
         """
-        if self._held is not None and len(message) < len(self._held[0]):
-            path = cdr.parse_path(message, ros1=self._ros1)
+        if len(message) < len(self._held[0]):
+            path = cdr.parse_path(message, ros1=ros1)
             if path is None or not _is_usable(path):
                 return
-            held = self._path_track()
-            if len(held.poses) and held.stamps_ns.max() < path.stamps_ns.min():
-                self._parts.append(replace(held, messages=0))
-        self._held = message, received_ns
+            held = self._held_path()
+            if held and len(held.poses) and held.stamps_ns.max() < path.stamps_ns.min():
+                self.found.append(held)
+        self._held = message, index, ros1
 
-    def _path_track(self) -> TopicTrack:
-        path = None if self._held is None else cdr.parse_path(self._held[0], ros1=self._ros1)
-        if self._held is None or path is None:
-            return TopicTrack(self._topic, self._msgtype, self.count, min(self.count, 1))
-        count = len(path.poses)
-        return TopicTrack(
-            self._topic, self._msgtype, self.count, 0, path.stamps_ns,
-            np.full(count, self._held[1]), path.poses, np.zeros(count, dtype=np.intp),
-            ((path.frame, ''),))
+    def _held_path(self) -> cdr.Poses | None:
+        message, index, ros1 = self._held
+        path = cdr.parse_path(message, ros1=ros1)
+        return path and path._replace(messages=path.messages + index)
 
 
-class TransformCollector:
-    """Gathers the transforms of one topic, /tf or /tf_static, from one file.
-
-    Attributes
-    ----------
-    count, unreadable : messages that were taken, and how many of them were no transforms.
-    received_ns : when the first of them was received.
-    runs : the transforms between two frames, their messages counted from the first one.
-
-    """
-
-    def __init__(self, topic: str) -> None:
-        self.count, self.unreadable, self.received_ns = 0, 0, _INT64_MAX
-        self.static = topic.endswith('tf_static')
-        self.runs: dict[cdr.TwoFrames, list[cdr.TransformRun]] = {}
-
-    def add(self, batch: Batch) -> None:
-        """Take messages in the order in which the recorder got them."""
-        self.received_ns = min(self.received_ns, batch.received_ns[0])
-        runs, damaged = cdr.parse_transforms(
-            batch.messages, ros1=batch.channel.encoding == 'ros1')
-        self.unreadable += damaged
-        for run in runs:
-            self.runs.setdefault(run.frames, []).append(
-                run._replace(messages=run.messages + self.count))
-        self.count += len(batch.messages)
+def _joined(found: Sequence[cdr.Poses]) -> list[NDArray[Any]]:
+    """Return for each pose its place in ``found``, message, stamp and pose, as they came."""
+    columns = [np.repeat(np.arange(len(found)), [len(poses.messages) for poses in found]),
+               *map(np.concatenate, zip(*(poses[1:] for poses in found), strict=True))]
+    order = np.argsort(columns[1], kind='stable')
+    return [column[order] for column in columns]
 
 
-def transform_tree(collectors: Sequence[TransformCollector]) -> TransformTree:
+def transform_tree(collectors: Sequence[TopicCollector]) -> TransformTree:
     """Put the transforms of several topics and files together, in the order of reception."""
     tree = TransformTree()
-    for collector in sorted(collectors, key=lambda item: item.received_ns):
-        for frames, runs in collector.runs.items():
-            messages, stamps_ns, poses = (
-                np.concatenate(columns) for columns in zip(*(run[1:] for run in runs),
-                                                           strict=True))
-            order = np.argsort(messages, kind='stable')
-            tree.extend(*frames, stamps_ns[order], poses[order], static=collector.static)
+    for collector in sorted(collectors, key=lambda item: int(item.received_ns()[0])):
+        by_frames: dict[cdr.TwoFrames, list[cdr.Poses]] = {}
+        for poses in collector.found:
+            by_frames.setdefault(poses.frames, []).append(poses)
+        for frames, found in by_frames.items():
+            tree.extend(*frames, *_joined(found)[2:], static=collector.topic.endswith('tf_static'))
     return tree
 
 
 def transform_track(
-    name: str, tree: TransformTree, collectors: Sequence[TransformCollector],
+    name: str, tree: TransformTree, collectors: Sequence[TopicCollector],
 ) -> TopicTrack:
     """Return the poses that ``tf:PARENT.CHILD`` names.
 
@@ -285,7 +281,7 @@ def _stamps(received_ns: list[int]) -> NDArray[np.int64]:
         return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
 
 
-def _is_usable(path: cdr.PathPoses) -> bool:
+def _is_usable(path: cdr.Poses) -> bool:
     return not np.all(np.any([path.stamps_ns == 0, *pose_faults(path.poses)], axis=0))
 
 
