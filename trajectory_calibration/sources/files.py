@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.findings import Finding, texts
-from trajectory_calibration.data.plausibility import lost_as_identity
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
-from trajectory_calibration.errors import ConfigError, counted, SourceError, TrajectoryError
+from trajectory_calibration.errors import ConfigError, counted, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import (
@@ -48,9 +47,9 @@ from trajectory_calibration.sources.text import is_bag, read_bytes, Table
 from trajectory_calibration.sources.times import (
     judge_seconds,
     read_times,
-    require_own_stamps,
     unit_of,
 )
+from trajectory_calibration.sources.usable import UsablePoses
 
 __all__ = ['FORMATS', 'FileSource', 'is_bag']
 
@@ -104,24 +103,15 @@ class FileSource:
                 raise ConfigError(f'{name} {getattr(self, name)!r} is unknown; needed one of '
                                   f'{", ".join(choices)}')
         raw = self._timed(self._read())
-        keep = self._usable(raw)
         if raw.stamps_ns is None:
             raise SourceError(
                 f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
                 'times as well, one a line: --times-a, --times-b (--times of inspect)')
-        stamps_ns, poses = raw.stamps_ns[keep], raw.poses[keep]
-        require_own_stamps(stamps_ns, poses, str(self.path))
-        name = f'{self.sensor_frame}: {self.path}'
-        frames = self.world_frame, self.sensor_frame
-        findings = tuple(replace(item, text=f'{name}: {item.text}') for item in raw.findings)
-        try:
-            trajectory = (
-                Trajectory(stamps_ns, poses, *frames, findings) if poses.ndim == 3 else
-                Trajectory.from_quaternions(
-                    stamps_ns, poses[:, :3], poses[:, 3:], *frames, findings))
-        except TrajectoryError as error:
-            raise SourceError(f'{name}: {error}') from error
-        return trajectory, raw.layout or raw.kind
+        usable = UsablePoses(
+            str(self.path), counted(len(raw.poses), 'row'), raw.poses, raw.findings)
+        usable.drop(_lost(raw.poses), ': not finite, or a quaternion of zeros')
+        return (usable.to_trajectory(raw.stamps_ns, self.world_frame, self.sensor_frame),
+                raw.layout or raw.kind)
 
     def _read(self) -> RawPoses:
         """Return what the file holds."""
@@ -245,26 +235,6 @@ class FileSource:
         used = min(poses, count)
         raw.poses[:used][missing[:used]] = np.nan
         return replace(raw, poses=raw.poses[:used], stamps_ns=stamps_ns[:used])
-
-    def _usable(self, raw: RawPoses) -> NDArray[np.bool_]:
-        """Return which rows hold a pose; say how many do not."""
-        lost = _lost(raw.poses)
-        identity = np.zeros(len(lost), dtype=bool)
-        identity[~lost] = lost_as_identity(raw.poses[~lost])
-        for found, why in ((lost, ': not finite, or a quaternion of zeros'), (
-                identity, ': identity, far from the neighbours (the SLAM was lost?)')):
-            count = int(np.count_nonzero(found))
-            if count:
-                raw.findings.append(Finding(
-                    'poses-lost', f'dropped {count:,} of {counted(len(lost), "pose")}{why}',
-                    {'poses': count}))
-        keep: NDArray[np.bool_] = ~lost & ~identity
-        if np.count_nonzero(keep) < 2:
-            because = f' ({"; ".join(texts(raw.findings))})' if raw.findings else ''
-            raise SourceError(
-                f'{self.path}: poses in {np.count_nonzero(keep)} of {counted(len(keep), "row")}, '
-                f'needed at least 2{because}; record while the sensor moves and its SLAM tracks')
-        return keep
 
 
 def _poses(values: FloatArray, layout: Layout) -> FloatArray:

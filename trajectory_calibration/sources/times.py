@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.trajectory import longest_run
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import TIME_UNITS
@@ -67,37 +66,6 @@ def _is_better(new: Stamps, old: Stamps) -> bool:
     uneven_new, uneven_old = (
         float(np.mean(np.abs(steps - np.median(steps)))) for steps in (steps_new, steps_old))
     return bool((steps_old <= 0).any()) or uneven_old > 3 * uneven_new
-
-
-def require_own_stamps(
-    stamps_ns: Stamps, poses: FloatArray, name: str,
-    advice: str = 'write them with nine decimals (%.9f)',
-) -> None:
-    """Raise SourceError where many poses share their time with another pose.
-
-    ``poses`` are (N, ...) numbers. Rows that are repeated as a whole are harmless.
-    """
-    run = longest_run(stamps_ns)
-    stamps_ns, poses = stamps_ns[run], poses[run]
-    count = len(stamps_ns)
-    if (stamps_ns[1:] > stamps_ns[:-1]).all():
-        return
-    order = np.argsort(stamps_ns, kind='stable')
-    ordered, rows = stamps_ns[order], poses[order].reshape(count, -1)
-    shared = (ordered[1:] == ordered[:-1]) & (rows[1:] != rows[:-1]).any(axis=1)
-    found = int(np.count_nonzero(shared))
-    if found < 2 or found <= 0.1 * count:
-        return
-    distinct = np.unique(stamps_ns)
-    if len(distinct) == 1:
-        raise SourceError(
-            f'{name}: all {counted(count, "pose")} have the same time, {distinct[0] * 1e-9:.9g} '
-            f's; needed the time of each pose, not rounded: {advice}')
-    step = int(np.gcd.reduce(np.diff(distinct))) * 1e-9
-    digits = len(f'{abs(int(distinct[0])) * 1e-9 / step:.0f}')
-    raise SourceError(
-        f'{name}: {found:,} of {counted(count, "pose")} share their time with another: two '
-        f'sensors in one, or the times are rounded to {step:.3g} s ({digits} digits); {advice}')
 
 
 def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:

@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.data.findings import Finding, texts
-from trajectory_calibration.data.plausibility import lost_as_identity
+from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.trajectory import pose_faults, Trajectory
-from trajectory_calibration.errors import counted, SourceError, TrajectoryError
+from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.channels import Batch
 from trajectory_calibration.sources.edges import fault_words, FAULTS
-from trajectory_calibration.sources.times import require_own_stamps
 from trajectory_calibration.sources.transforms import parse_tf, TransformTree
+from trajectory_calibration.sources.usable import UsablePoses
 
 _INT64_MAX = 2**63 - 1
 
@@ -80,56 +79,33 @@ class TopicTrack:
 
         Raise SourceError where fewer than two poses are left.
         """
-        notes = [*(Finding('bag-damaged', text) for text in self.warnings),
-                 *(Finding('input-repaired', text) for text in self.notes)]
+        usable = UsablePoses(self.topic, counted(self.messages, 'message'), self.poses, [
+            *(Finding('bag-damaged', text) for text in self.warnings),
+            *(Finding('input-repaired', text) for text in self.notes)], of_one=False)
+        notes = usable.findings
         if self.unreadable:
             notes.append(Finding(
                 'input-repaired',
-                f'dropped {self.unreadable} of {counted(self.messages, "message")}: unreadable'))
+                f'dropped {self.unreadable} of {usable.rows}: unreadable'))
         if any(self.refused):
             notes.append(Finding(
                 'poses-lost', f'dropped {counted(sum(self.refused), "transform")}: '
                 f'{fault_words(self.refused)}'))
-        keep = np.ones(len(self.poses), dtype=bool)
-
-        def drop(bad: NDArray[np.bool_], why: str, code: str = 'poses-lost') -> None:
-            count = int(np.count_nonzero(bad & keep))
-            if count:
-                notes.append(Finding(code, f'dropped {counted(count, "pose")}{why}'))
-            keep[bad] = False
-
-        world, sensor = self._keep_one_frame(keep, notes)
+        world, sensor = self._keep_one_frame(usable.keep, notes)
         stamps_ns, missing = self.stamps_ns, self.stamps_ns == 0
-        if keep.any() and missing[keep].all() and self.msgtype != cdr.PATH:
+        if usable.keep.any() and missing[usable.keep].all() and self.msgtype != cdr.PATH:
             notes.append(Finding(
                 'input-repaired',
                 'the headers carry no stamps: the times of reception are used'))
             stamps_ns = self.received_ns
         else:
-            drop(missing, ' without a stamp', 'input-repaired')
+            usable.drop(missing, ' without a stamp', 'input-repaired')
         for bad, why in zip(pose_faults(self.poses), FAULTS, strict=True):
-            drop(bad, f': {why}')
-        lost = np.zeros(len(keep), dtype=bool)
-        lost[keep] = lost_as_identity(self.poses[keep])
-        drop(lost, ': identity, far from the neighbours (the SLAM was lost?)')
-        sensor = sensor_frame or sensor or self.topic.strip('/').replace('/', '_')
-        world = world_frame or world or 'map'
-        if np.count_nonzero(keep) < 2:
-            reasons = f' ({"; ".join(texts(notes))})' if notes else ''
-            raise SourceError(
-                f'{self.topic}: poses in {np.count_nonzero(keep)} of '
-                f'{counted(self.messages, "message")}, needed at least 2{reasons}; record while '
-                'the sensor moves')
-        stamps_ns, poses = stamps_ns[keep], self.poses[keep]
-        require_own_stamps(
-            stamps_ns, poses, self.topic, 'use a topic whose messages carry the time of each pose')
-        try:
-            return Trajectory.from_quaternions(
-                stamps_ns, poses[:, :3], poses[:, 3:], world, sensor,
-                tuple(replace(note, text=f'{sensor}: {self.topic}: {note.text}')
-                      for note in notes))
-        except TrajectoryError as error:
-            raise SourceError(f'{self.topic}: {error}') from error
+            usable.drop(bad, f': {why}')
+        return usable.to_trajectory(
+            stamps_ns, world_frame or world or 'map',
+            sensor_frame or sensor or self.topic.strip('/').replace('/', '_'),
+            'use a topic whose messages carry the time of each pose')
 
     def _keep_one_frame(self, keep: NDArray[np.bool_], notes: list[Finding]) -> tuple[str, str]:
         if not self.frames:
