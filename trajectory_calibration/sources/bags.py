@@ -17,14 +17,9 @@ from pathlib import Path
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted, SourceError, TopicError
 from trajectory_calibration.sources.cdr import TF, TRAJECTORY_TYPES
-from trajectory_calibration.sources.channels import border, Channel, Storage
+from trajectory_calibration.sources.channels import Channel, Unreadable
 from trajectory_calibration.sources.overlaps import without_repeats
-from trajectory_calibration.sources.storage import (
-    Bag,
-    find_bag,
-    open_storage,
-    unpacked,
-)
+from trajectory_calibration.sources.storage import Bag, find_bag, unpacked
 from trajectory_calibration.sources.topics import (
     join_tracks,
     TopicCollector,
@@ -36,6 +31,9 @@ from trajectory_calibration.sources.transforms import names_frames, TransformTre
 
 # Called with the messages read so far and the messages expected.
 Progress = Callable[[int, int], None]
+
+# For each topic the bag and the messages of each file.
+_Found = dict[str, list[tuple[Bag, TopicCollector]]]
 
 _READABLE = ('cdr', 'ros1')
 
@@ -84,7 +82,9 @@ def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
     once = {os.path.realpath(path): Path(path) for path in paths}
     bags = [find_bag(path) for path in once.values()]
     with ExitStack() as stack:
-        yield BagReader([_OpenBag(bag, stack) for bag in bags])
+        for bag in bags:
+            bag.open(stack)
+        yield BagReader(bags)
 
 
 class BagReader:
@@ -96,9 +96,9 @@ class BagReader:
 
     """
 
-    def __init__(self, bags: list[_OpenBag]) -> None:
+    def __init__(self, bags: list[Bag]) -> None:
         self._bags = bags
-        if not any(item.storage for bag in bags for item in bag.files):
+        if all(isinstance(storage, Unreadable) for bag in bags for storage in bag.files.values()):
             raise SourceError(
                 f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
                 'was recorded, or record anew')
@@ -111,7 +111,7 @@ class BagReader:
     @property
     def notes(self) -> list[str]:
         """Return what is wrong with the bags as a whole, as far as they have been read."""
-        return [note for bag in self._bags for note in bag.notes()]
+        return [note for bag in self._bags for note in bag.all_notes()]
 
     @property
     def serving(self) -> list[str]:
@@ -129,56 +129,51 @@ class BagReader:
         """
         topics = {name: self._topic(name) for name in names if not names_frames(name)}
         types = {topic: self._serving_type(topic) for topic in topics.values()}
-        for bag in self._bags:
-            bag.found.clear()
-        of_frames = any(map(names_frames, names))
-        transforms = self._transform_topics() if of_frames else []
-        if of_frames and not transforms:
+        transforms = self._transform_topics() if len(topics) < len(names) else []
+        if len(topics) < len(names) and not transforms:
             raise self._topic_error('no topic of transforms (/tf)')
-        parts, tf = self._gather(types, transforms, progress)
+        found = self._gather(types | dict.fromkeys(transforms, TF), progress)
         result = {}
         for name in names:
             if name in topics:
                 topic = topics[name]
-                track = join_tracks(topic, types[topic], without_repeats(parts[topic]))
+                track = join_tracks(topic, types[topic], without_repeats(
+                    [(str(bag.path), collector.track()) for bag, collector in found[topic]]))
             else:
+                tf = _filled(found, transforms)
                 track = transform_track(name, transform_tree(tf), tf)
             warnings = [note for topic in ([topics[name]] if name in topics else transforms)
-                        for bag in self._bags for note in bag.missing(topic)]
+                        for bag in self._bags for note in bag.missing(topic, sum(
+                            collector.count for other, collector in found[topic]
+                            if other is bag))]
             if name == names[0]:
                 warnings[:0] = self.notes
             result[name] = replace(track, warnings=tuple(warnings))
         return result
 
-    def transforms(self, progress: Progress | None = None) -> TransformTree:
+    def transforms(self) -> TransformTree:
         """Return all transforms of the bags; none where they hold no such topic."""
-        return transform_tree(self._gather({}, self._transform_topics(), progress)[1])
+        topics = self._transform_topics()
+        return transform_tree(_filled(self._gather(dict.fromkeys(topics, TF), None), topics))
 
-    def _gather(
-        self, types: dict[str, str], transforms: list[str], progress: Progress | None,
-    ) -> tuple[dict[str, list[tuple[str, TopicTrack]]], list[TopicCollector]]:
-        """Read all bags once."""
-        wanted = {**types, **dict.fromkeys(transforms, TF)}
-        total = sum(channel.messages for channel in self.channels if channel.topic in wanted)
+    def _gather(self, types: dict[str, str], progress: Progress | None) -> _Found:
+        """Read topics of some types, all bags once."""
+        total = sum(channel.messages for channel in self.channels if channel.topic in types)
         count = 0
-
-        def step(messages: int) -> None:
-            nonlocal count
-            count += messages
-            if progress is not None:
-                progress(min(count, total), total)
-
-        parts: dict[str, list[tuple[str, TopicTrack]]] = {topic: [] for topic in types}
-        tf: list[TopicCollector] = []
+        found: _Found = {topic: [] for topic in types}
         for bag in self._bags:
-            for item in bag.files:
-                for topic, collector in item.read(wanted, step).items():
-                    if collector.msgtype == TF:
-                        tf += [collector] if collector.count else []
-                    else:
-                        parts[topic].append((str(bag.path), collector.track()))
-                    bag.found[topic] += collector.count
-        return parts, tf
+            for storage in bag.files.values():
+                for topic, msgtype in types.items():
+                    found[topic].append((bag, TopicCollector(topic, msgtype)))
+                for batch in storage.messages(types.keys()):
+                    _, collector = found[batch.channel.topic][-1]
+                    if batch.channel.msgtype != collector.msgtype:
+                        continue
+                    collector.add(unpacked(batch))
+                    count += len(batch.messages)
+                    if progress is not None:
+                        progress(min(count, total), total)
+        return found
 
     def _topic(self, name: str) -> str:
         """Return the name of a topic that was given with or without its leading slash."""
@@ -229,64 +224,5 @@ class BagReader:
                           f'{", ".join(serving) or "none"}{notes}')
 
 
-class _OpenFile:
-    """A file of a bag: its storage, or None where nothing in it can be read, and its damage."""
-
-    def __init__(self, path: Path, stack: ExitStack, *, count: bool) -> None:
-        self.path, self.damage = path, ''
-        self.storage: Storage | None = None
-        try:
-            with border(lambda reason: setattr(self, 'damage', reason)):
-                self.storage = open_storage(path, stack, count=count)
-                self.damage = self.storage.damage
-        except SourceError as error:
-            raise SourceError(f'{path}: {error}') from error
-
-    def read(
-        self, types: dict[str, str], step: Callable[[int], None],
-    ) -> dict[str, TopicCollector]:
-        """Return what the file holds of some topics."""
-        if self.storage is None:
-            return {}
-        collectors = {topic: TopicCollector(topic, msgtype) for topic, msgtype in types.items()}
-        for batch in self.storage.messages(types.keys()):
-            if batch.channel.msgtype == types[batch.channel.topic]:
-                collectors[batch.channel.topic].add(unpacked(batch))
-                step(len(batch.messages))
-        self.damage = self.storage.damage
-        return collectors
-
-
-class _OpenBag:
-    """A bag, how each of its files fared, and how many messages of each topic were found."""
-
-    def __init__(self, bag: Bag, stack: ExitStack) -> None:
-        self.path, self._declared, self._notes = bag.path, bag.declared, bag.notes
-        self.files = [_OpenFile(path, stack, count=not bag.declared) for path in bag.files]
-        self.found: Counter[str] = Counter()
-
-    def channels(self) -> list[Channel]:
-        found = [channel for item in self.files if item.storage is not None
-                 for channel in item.storage.channels]
-        declared = dict(self._declared)
-        return [channel._replace(messages=declared.pop(channel.topic, 0))
-                for channel in found] if declared else found
-
-    def notes(self) -> list[str]:
-        return [f'{self.path}: {note}' for note in self._notes] + [
-            f'{item.path} is damaged: {item.damage}' for item in self.files if item.damage]
-
-    def missing(self, topic: str) -> list[str]:
-        """Say how many messages of a topic were not read."""
-        read = self.found[topic]
-        expected = max(
-            self._declared.get(topic, 0),
-            sum(channel.messages for channel in self.channels() if channel.topic == topic))
-        if expected > read:
-            return [(f'{self.path}: read {read} of {counted(expected, "message")}, '
-                     f'{expected - read} missing')]
-        known = topic in self._declared or all(
-            item.storage is not None and item.storage.counted for item in self.files)
-        if any(item.damage for item in self.files) and not known:
-            return [f'{self.path}: read {counted(read, "message")} of an unknown number']
-        return []
+def _filled(found: _Found, topics: Sequence[str]) -> list[TopicCollector]:
+    return [collector for topic in topics for _, collector in found[topic] if collector.count]

@@ -117,6 +117,16 @@ class Storage(ABC):
         return border(lambda reason: self.note_damage(what.format(reason)))
 
 
+class Unreadable(Storage):
+    """A file of a bag in which nothing can be read."""
+
+    def _index(self) -> None:
+        return None
+
+    def _read(self) -> Iterator[tuple[int, int, bytes]]:
+        return iter(())
+
+
 @contextmanager
 def border(note: Callable[[str], None]) -> Iterator[None]:
     """Run what a damaged file may break; hand the reason to ``note`` and go on behind it.

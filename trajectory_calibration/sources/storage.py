@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import closing, ExitStack
 from dataclasses import dataclass, field
 from mmap import ACCESS_READ, mmap
@@ -12,8 +13,8 @@ from pathlib import Path, PurePath
 import re
 from tempfile import TemporaryDirectory
 
-from trajectory_calibration.errors import SourceError
-from trajectory_calibration.sources.channels import Batch, border, Storage
+from trajectory_calibration.errors import counted, SourceError
+from trajectory_calibration.sources.channels import Batch, border, Channel, Storage, Unreadable
 from trajectory_calibration.sources.packing import unpack, unpack_zstd_file, ZSTD_MAGIC
 from trajectory_calibration.sources.text import refuse_pointer
 
@@ -22,23 +23,53 @@ _PACKED_SUFFIXES = ('.zstd', '.zst')
 _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Bag:
     """A bag as it lies on disk.
 
     Attributes
     ----------
     path : what the user named, a file or a folder.
-    files : the storage files.
+    files : the storage files, once they are open.
     declared : messages of each topic according to metadata.yaml; empty without it.
     notes : what is wrong with the folder.
 
     """
 
     path: Path
-    files: tuple[Path, ...]
+    paths: Sequence[Path]
     declared: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+    def open(self, stack: ExitStack) -> None:
+        """Open the files; they close with the ``stack``."""
+        self.files = {path: _storage(path, stack, count=not self.declared) for path in self.paths}
+
+    def channels(self) -> list[Channel]:
+        """Return the channels of the files, with the numbers of messages that are declared."""
+        found = [channel for storage in self.files.values() for channel in storage.channels]
+        declared = dict(self.declared)
+        return [channel._replace(messages=declared.pop(channel.topic, 0))
+                for channel in found] if declared else found
+
+    def all_notes(self) -> list[str]:
+        """Return what is wrong with the folder and the files, as far as they have been read."""
+        return [f'{self.path}: {note}' for note in self.notes] + [
+            f'{path} is damaged: {storage.damage}'
+            for path, storage in self.files.items() if storage.damage]
+
+    def missing(self, topic: str, read: int) -> list[str]:
+        """Say how many messages of a topic were not read."""
+        expected = max(
+            self.declared.get(topic, 0),
+            sum(channel.messages for channel in self.channels() if channel.topic == topic))
+        if expected > read:
+            return [(f'{self.path}: read {read} of {counted(expected, "message")}, '
+                     f'{expected - read} missing')]
+        known = topic in self.declared or all(item.counted for item in self.files.values())
+        if any(item.damage for item in self.files.values()) and not known:
+            return [f'{self.path}: read {counted(read, "message")} of an unknown number']
+        return []
 
 
 def find_bag(path: Path) -> Bag:
@@ -56,26 +87,35 @@ def find_bag(path: Path) -> Bag:
     return Bag(path, (path,), notes=_log_note(path))
 
 
-def open_storage(path: Path, stack: ExitStack, *, count: bool) -> Storage:
-    """Open a file of a bag, or where it is compressed its content; it closes with the ``stack``.
+def _storage(path: Path, stack: ExitStack, *, count: bool) -> Storage:
+    """Open a file of a bag; ``count`` asks for numbers of messages also where that takes time.
 
-    ``count`` asks for numbers of messages also where that takes time. Raise SourceError for a
-    pointer of Git LFS, or where a package is missing that unpacks the file; a damaged file raises
-    any exception.
+    Raise SourceError for a pointer of Git LFS, or where a package is missing that unpacks it.
     """
+    unreadable = Unreadable()
+    try:
+        with border(unreadable.note_damage):
+            content, damage = _unpacked_file(path, stack)
+            storage = _opened(content, stack, count=count)
+            storage.damage = damage or storage.damage
+            return storage
+    except SourceError as error:
+        raise SourceError(f'{path}: {error}') from error
+    return unreadable
+
+
+def _unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
+    """Return a file, or where it is compressed its content, and the damage found."""
     with path.open('rb') as stream:
         beginning = stream.read(64)
     refuse_pointer(path, beginning)
     if not beginning:
         raise ValueError('it is empty')
-    damage = ''
-    if beginning.startswith(ZSTD_MAGIC):
-        folder = stack.enter_context(TemporaryDirectory(prefix='trajectory_calibration_'))
-        packed, path = path, Path(folder) / f'bag{_storage_suffix(path)}'
-        damage = unpack_zstd_file(packed, path)
-    storage = _opened(path, stack, count=count)
-    storage.damage = damage or storage.damage
-    return storage
+    if not beginning.startswith(ZSTD_MAGIC):
+        return path, ''
+    folder = stack.enter_context(TemporaryDirectory(prefix='trajectory_calibration_'))
+    content = Path(folder) / f'bag{_storage_suffix(path)}'
+    return content, unpack_zstd_file(path, content)
 
 
 def _opened(path: Path, stack: ExitStack, *, count: bool) -> Storage:
@@ -135,7 +175,7 @@ def _find_folder(path: Path) -> Bag:
         reason = (f'is damaged ({reasons[0]})' if (path / 'metadata.yaml').exists()
                   else 'is missing')
         note = f'metadata.yaml {reason}: read {", ".join(item.name for item in present)}'
-        return Bag(path, tuple(present), notes=(note, *notes))
+        return Bag(path, present, notes=(note, *notes))
     files, missing = [], []
     for name in listed:
         # The name of a compressed file may stand there without the suffix of its compression.
@@ -148,7 +188,7 @@ def _find_folder(path: Path) -> Bag:
     if not files:
         raise SourceError(f'{path}: none of the files that metadata.yaml lists exists: '
                           f'{", ".join(missing)}')
-    return Bag(path, tuple(files), declared, notes)
+    return Bag(path, files, declared, notes)
 
 
 def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
