@@ -135,8 +135,10 @@ class FileSource:
                 f'{max(layout.pose_columns) + 1}')
         unit = self.time_unit or layout.unit or (
             's' if layout.time is None else unit_of(table.sample()[:, layout.time]))
-        numbers = table.read_numbers(layout.pose_columns, layout.time, TIME_UNITS[unit])
-        raw = RawPoses(_poses(numbers.values, layout), kind=counted(table.width, 'column'),
+        whole = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
+        numbers = table.read_numbers(layout.pose_columns + whole, layout.time, TIME_UNITS[unit])
+        values, rest = np.split(numbers.values, [len(layout.pose_columns)], axis=1)
+        raw = RawPoses(_poses(values, layout), kind=counted(table.width, 'column'),
                        layout=layout.describe())
         if layout.time is not None:
             raw.poses[~numbers.finite] = np.nan
@@ -145,8 +147,10 @@ class FileSource:
                 raise SourceError(f'{self.path}: nanoseconds have no fraction; in which unit are '
                                   'the times? Say --time-unit')
             if 'nsec' in layout.columns:
-                raw.stamps_ns = raw.stamps_ns + self._below_a_second(
-                    table, layout.columns['nsec'])
+                if not ((rest[:, 0] >= 0) & (rest[:, 0] < 1e9)).all():
+                    raise SourceError(f'{self.path}: column {whole[0] + 1} holds no nanoseconds '
+                                      'below one second')
+                raw.stamps_ns = raw.stamps_ns + np.rint(rest[:, 0]).astype(np.int64)
             elif unit == 's' and not self.time_unit:
                 raw.stamps_ns, raw.findings = judge_seconds(raw.stamps_ns, numbers.places)
             if unit not in ('s', layout.unit, self.time_unit):
@@ -154,8 +158,7 @@ class FileSource:
                     'input-read-as', f'its times are read as {unit}, judged by their size',
                     {'unit': unit}))
         if 'number' in layout.columns:
-            raw.numbers = np.rint(table.read_numbers(
-                [layout.columns['number']]).values[:, 0]).astype(np.int64)
+            raw.numbers = np.rint(rest[:, -1]).astype(np.int64)
         if layout.at(QUATERNION):
             self._require_unit(raw, table, layout)
         raw.findings += [Finding('input-repaired', note) for note in table.notes]
@@ -208,13 +211,6 @@ class FileSource:
                 'quaternion-order',
                 'the first quaternion is 1 0 0 0, half a turn about x. If the sensor began '
                 'without a rotation, w comes first: add --quaternion-order wxyz'))
-
-    def _below_a_second(self, table: Table, column: int) -> NDArray[np.int64]:
-        values = table.read_numbers([column]).values[:, 0]
-        if not ((values >= 0) & (values < 1e9)).all():
-            raise SourceError(f'{self.path}: column {column + 1} holds no nanoseconds below one '
-                              'second')
-        return np.rint(values).astype(np.int64)
 
     def _timed(self, raw: RawPoses) -> RawPoses:
         """Return the poses with the times of the other file, where one is given."""

@@ -9,7 +9,7 @@ stays ambiguous is an error that says how many columns there are and which optio
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import re
 
@@ -32,7 +32,8 @@ _LAST_COLUMN = ('r14', 'r24', 'r34')
 ROTATION = tuple(f'r{i}{j}' for i in '123' for j in '123')
 _MATRIX = ('r11', 'r12', 'r13', 'x', 'r21', 'r22', 'r23', 'y', 'r31', 'r32', 'r33', 'z')
 _ANGLES = ('roll', 'pitch', 'yaw')
-_DEGREES = ('roll_deg', 'pitch_deg', 'yaw_deg')
+_DEGREES, _RADIANS = (
+    tuple(f'{name}_{unit}' for name in _ANGLES) for unit in ('deg', 'rad'))
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def from_names(text: str, width: int) -> Layout:
         if role in roles:
             raise ConfigError(f'columns {text!r} names {name} twice')
         roles[role] = column
-    layout = _layout(roles, '--columns', angles=True)
+    layout = _layout(roles, '--columns')
     if layout is None:
         raise ConfigError(f'columns {text!r} names no complete pose; needed x,y,z and qx,qy,qz,qw '
                           'or r11 to r33 or roll,pitch,yaw')
@@ -141,9 +142,8 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
             role = _role(name)
             if role is not None:
                 found.setdefault(role, []).append(column)
-        if len(names) > width or _layout(dict.fromkeys(found, 0), '', angles=True) is None:
+        if len(names) > width or _layout(dict.fromkeys(found, 0), '') is None:
             continue
-        angles = _unit_of_angles(names, found)
         roles = {}
         for role, named in found.items():
             # The time of a message is that of its header, not that of its reception.
@@ -154,21 +154,14 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
                     f'{", ".join(names[k].strip() for k in columns)}; say which one counts: '
                     f'--columns with the names of all {width} columns ({_TUM}, - skips one)')
             roles[role] = columns[0]
-        return _layout(roles, 'from the heading', angles=angles)
+        layout = _layout(roles, 'from the heading')
+        if layout is not None and 'roll' in layout.columns and 'roll' in roles:
+            said = ','.join(_role(name) or '-' for name in names)
+            in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
+            raise SourceError('the heading names roll, pitch and yaw without their unit; say '
+                              f'--columns {said} (radians) or --columns {in_degrees}')
+        return layout
     return None
-
-
-def _unit_of_angles(names: Sequence[str], found: Mapping[str, object]) -> bool:
-    """Tell whether a heading says the unit of roll, pitch and yaw; raise where they need one."""
-    if 'roll_deg' in found or any(
-            _role(name) == 'roll' and 'rad' in name.lower() for name in names):
-        return True
-    if _layout(dict.fromkeys(found, 0), '') is None:
-        said = ','.join(_role(name) or '-' for name in names)
-        in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
-        raise SourceError('the heading names roll, pitch and yaw without their unit; say '
-                          f'--columns {said} (radians) or --columns {in_degrees}')
-    return False
 
 
 def from_numbers(
@@ -244,15 +237,11 @@ def _candidates(width: int, *, timed: bool) -> list[Layout]:
         rest = width - len(start)
         # With times from elsewhere, what looks like a time may be the number of the frame.
         has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
-        poses: list[tuple[str, ...]] = []
-        if rest == 7 or (rest > 7 and has_time):
-            poses.append(POSITION + QUATERNION)
-        if rest == 7:
-            poses.append(QUATERNION + POSITION)
-        if rest in (12, 16):
-            poses.append(_MATRIX)
-        found += [_named(FROM_NUMBERS, start + pose, 's' if 'sec' in start else None)
-                  for pose in poses]
+        for pose, fits in ((POSITION + QUATERNION, rest == 7 or (rest > 7 and has_time)),
+                           (QUATERNION + POSITION, rest == 7),
+                           (_MATRIX, rest in (12, 16))):
+            if fits:
+                found.append(_named(FROM_NUMBERS, start + pose, 's' if 'sec' in start else None))
     return found
 
 
@@ -294,18 +283,17 @@ def _counts(values: FloatArray) -> bool:
     return bool(whole and (np.diff(values) > 0).all() and values[0] >= 0 and values[-1] < 1e8)
 
 
-def _layout(roles: dict[str, int], source: str, *, angles: bool = False) -> Layout | None:
+def _layout(roles: dict[str, int], source: str) -> Layout | None:
     """Return the layout of named columns; None where they make no pose."""
     def first_complete(*choices: Sequence[str]) -> Sequence[str]:
         return next((names for names in choices if roles.keys() >= {*names}), ())
 
     position = first_complete(POSITION, _LAST_COLUMN)
-    orientation = first_complete(
-        QUATERNION, ROTATION, *([_DEGREES if 'roll_deg' in roles else _ANGLES] * angles))
+    orientation = first_complete(QUATERNION, ROTATION, _DEGREES, _RADIANS, _ANGLES)
     if not position or not orientation:
         return None
     columns = {name: roles[role] for name, role in zip(POSITION, position, strict=True)}
-    columns.update((name, roles[name]) for name in orientation)
+    columns.update((name.removesuffix('_rad'), roles[name]) for name in orientation)
     if roles.keys() >= {'sec', 'nsec'}:
         return Layout(source, columns | {name: roles[name] for name in ('sec', 'nsec')}, 's')
     units = {'t': None, **{f't_{unit}': unit for unit in TIME_UNITS}, 'sec': 's', 'nsec': 'ns'}
@@ -345,7 +333,8 @@ def _role(name: str) -> str | None:
         return f't_{unit}' if unit else 't'
     axis = last if last in _ANGLES else first if last in ('deg', 'rad') else ''
     if axis in _ANGLES:
-        return f'{axis}_deg' if 'deg' in (last, unit[:3]) else axis
+        return next(
+            (f'{axis}_{one}' for one in ('deg', 'rad') if one in (last, unit[:3])), axis)
     if matrix := re.fullmatch(r'[rm]_?([1-3])_?([1-4])', '_'.join(words)):
         return f'r{matrix[1]}{matrix[2]}'
     if joined := _JOINED.fullmatch(last):

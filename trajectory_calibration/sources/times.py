@@ -44,19 +44,18 @@ def judge_seconds(
     times, read as decimals, run to and fro.
     """
     longest = int(places.max(initial=0))
-    if longest not in _PARTS or int(places.min(initial=0)) == longest or (places < 0).any():
-        return stamps_ns, _doubts(stamps_ns, places)
-    tens = 10 ** np.arange(10, dtype=np.int64)
-    seconds = stamps_ns // tens[9]
-    written = (stamps_ns - seconds * tens[9]) // tens[9 - places]
-    repaired = seconds * tens[9] + written * tens[9 - longest]
-    if not _is_better(repaired, stamps_ns):
-        return stamps_ns, _doubts(stamps_ns, places)
-    count = int(np.count_nonzero(repaired != stamps_ns))
-    return repaired, [Finding(
-        'stamps-unpadded',
-        f'{count:,} of {counted(len(stamps_ns), "time")} have fractions without leading zeros '
-        '(sec.nsec): repaired', {'stamps': count})]
+    if longest in _PARTS and longest > int(places.min(initial=0)) >= 0:
+        tens = 10 ** np.arange(10, dtype=np.int64)
+        seconds = stamps_ns // tens[9]
+        written = (stamps_ns - seconds * tens[9]) // tens[9 - places]
+        repaired = seconds * tens[9] + written * tens[9 - longest]
+        if _is_better(repaired, stamps_ns):
+            count = int(np.count_nonzero(repaired != stamps_ns))
+            return repaired, [Finding(
+                'stamps-unpadded',
+                f'{count:,} of {counted(len(stamps_ns), "time")} have fractions without leading '
+                'zeros (sec.nsec): repaired', {'stamps': count})]
+    return stamps_ns, _doubts(stamps_ns, places)
 
 
 def _is_better(new: Stamps, old: Stamps) -> bool:
