@@ -30,6 +30,7 @@ class McapFile(Storage):
         self._data = data
         self._schemas: dict[int, str] = {}
         self._chunks: list[int] = []
+        self._counts: dict[int, int] | None = None
         super().__init__()
 
     def _index(self) -> dict[int, int] | None:
@@ -43,35 +44,22 @@ class McapFile(Storage):
             return None
         if crc and crc32(self._data[start:end + 25]) != crc:
             raise ValueError('wrong checksum')
-        counts, chunks = None, []
-        while start < end:
-            opcode, size = _HEAD.unpack_from(self._data, start)
-            body = self._data[start + _HEAD.size:start + _HEAD.size + size]
-            start += _HEAD.size + size
-            if start > end:
-                raise ValueError('a record is cut off')
-            if opcode == _STATISTICS:
-                counts = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
-            elif opcode == _CHUNK_INDEX:
-                chunks.append(_uint(body, 16, 8))
-            else:
-                self._note(opcode, body)
+        list(self._records(self._data, start, end))
         if not crc:
             self._confirm()
-        self._chunks = chunks
-        return counts
+        return self._counts
 
     def _confirm(self) -> None:
         """Raise ValueError where the channels of the first chunk are not those of the index."""
         indexed = dict(self._declared)
         chunk = next((place for opcode, *place in self._walk() if opcode == _CHUNK), None)
         if chunk:
-            list(self._messages(*self._unpacked(*chunk)))
+            list(self._records(*self._unpacked(*chunk)))
         if self._declared != indexed:
             raise ValueError('it differs from the data')
 
     def _note(self, opcode: int, body: bytes) -> None:
-        """Keep what a record says of the channels."""
+        """Keep what a record says of channels and chunks."""
         if opcode == _SCHEMA and len(body) >= 2:
             self._schemas[_uint(body, 0, 2)] = _text(body, 2)[0]
         elif opcode == _CHANNEL and len(body) >= 4:
@@ -79,11 +67,16 @@ class McapFile(Storage):
             encoding, _ = _text(body, end)
             self._declare(_uint(body, 0, 2), Channel(
                 topic, plain_type(self._schemas.get(_uint(body, 2, 2), '')), 0, encoding))
+        elif opcode == _STATISTICS:
+            self._counts = dict(struct.iter_unpack('<HQ', body[46:46 + _uint(body, 42, 4)]))
+        elif opcode == _CHUNK_INDEX:
+            self._chunks.append(_uint(body, 16, 8))
 
     def _read(self) -> Iterator[tuple[int, int, bytes]]:
         for opcode, start, end in self._walk():
-            yield from self._messages(*(
-                self._unpacked(start, end) if opcode == _CHUNK else (self._data, start, end)))
+            with self.noting('records inside a chunk are damaged'):
+                yield from self._records(*(
+                    self._unpacked(start, end) if opcode == _CHUNK else (self._data, start, end)))
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, start and end of each record of the data, over what is damaged."""
@@ -102,7 +95,8 @@ class McapFile(Storage):
                 continue
             self.note_damage(f'its record at byte {offset} is damaged or cut off')
             # The index, where it is whole, tells where the next chunk begins.
-            offset = min((chunk for chunk in self._chunks if chunk > offset), default=last)
+            offset = min((chunk for chunk in self._chunks if self.counted and chunk > offset),
+                         default=last)
         self.note_damage('its end is missing')
 
     def _unpacked(self, start: int, end: int) -> tuple[bytes, int, int]:
@@ -124,17 +118,16 @@ class McapFile(Storage):
         # The head of a message may be read beyond the end.
         return data + bytes(_MESSAGE_HEAD.size), 0, len(data)
 
-    def _messages(
+    def _records(
         self, data: bytes | mmap.mmap, offset: int, end: int,
     ) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the messages between two offsets; note channels on the way."""
+        """Yield the messages between two offsets; keep what the other records say."""
         wanted = self._wanted
         while offset + _MESSAGE_HEAD.size <= len(data) and offset < end:
             opcode, size, channel_id, _, time_ns, _ = _MESSAGE_HEAD.unpack_from(data, offset)
             start, offset = offset, offset + _HEAD.size + size
             if offset > end or not 0 < opcode < _DATA_END:
-                self.note_damage('records inside a chunk are damaged')
-                return
+                raise ValueError('a record is cut off')
             if opcode == _MESSAGE:
                 if wanted.get(channel_id):
                     yield channel_id, time_ns, data[start + _MESSAGE_HEAD.size:offset]
