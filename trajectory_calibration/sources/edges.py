@@ -45,20 +45,23 @@ class Edge:
     ----------
     parent, child : names of the frames.
     static : whether the transform holds at all times.
+    samples : (N,) stamps and (N, 7) transforms in the order in which they came.
+    changes : how many of them differed from the one before.
     refused : (3,), how many transforms were none, as ``pose_faults`` tells them apart.
+    waiting : those that arrived one by one, until they become samples.
 
     """
 
     parent: str
     child: str
     static: bool = False
-    _stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    _poses: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
+    samples: tuple[NDArray[np.int64], FloatArray] = field(
+        default_factory=lambda: (np.zeros(0, np.int64), np.zeros((0, 7))))
+    changes: int = 0
     refused: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
+    waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
     _told: NDArray[np.int64] = field(default_factory=lambda: np.zeros(3, np.int64))
-    _waiting: list[tuple[int, Sequence[float]]] = field(default_factory=list)
     _newest_ns: int = -2**63
-    _changes: int = 0
 
     def __str__(self) -> str:
         return f'{self.parent} -> {self.child}'
@@ -69,63 +72,46 @@ class Edge:
 
     def add(self, stamp_ns: int, pose: Sequence[float]) -> None:
         """Take one transform as it arrives: x, y, z (m), qx, qy, qz, qw; old ones go."""
-        self._waiting.append((stamp_ns, pose))
+        self.waiting.append((stamp_ns, pose))
         self._newest_ns = max(self._newest_ns, stamp_ns)
-        if len(self._waiting) >= _BLOCK:
-            self._settle()
+        if len(self.waiting) >= _BLOCK:
+            self.settle()
 
     def extend(self, stamps_ns: ArrayLike, poses: ArrayLike) -> None:
         """Take (N,) stamps and (N, 7) transforms in the order in which they came; all stay."""
         stamps = np.asarray(stamps_ns, dtype=np.int64)
         new = np.asarray(poses, dtype=np.float64).reshape(len(stamps), 7)
         faults = np.array(pose_faults(new))
-        self.refused += np.count_nonzero(faults, axis=1)
+        self.refused = self.refused + np.count_nonzero(faults, axis=1)
         usable = ~faults.any(axis=0)
-        self._stamps_ns = np.concatenate([self._stamps_ns, stamps[usable]])
-        poses = np.concatenate([self._poses, new[usable]])
-        since = max(len(self._poses) - 1, 0)
-        self._changes += int(np.count_nonzero(
-            (poses[since + 1:] != poses[since:-1]).any(axis=1)))
-        self._poses = poses
+        before, last = self.samples
+        steps = np.diff(np.concatenate([last[-1:], new[usable]]), axis=0)
+        self.changes += int(np.count_nonzero(steps.any(axis=1)))
+        self.samples = (np.concatenate([before, stamps[usable]]),
+                        np.concatenate([last, new[usable]]))
 
-    @property
-    def samples(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """(N,) stamps and (N, 7) transforms in the order in which they came."""
-        if self._waiting:
-            self._settle()
-        return self._stamps_ns, self._poses
-
-    def count_changes(self) -> int:
-        """Return how many transforms differ from the one before."""
-        # With those that wait.
-        _ = self.samples
-        return self._changes
-
-    def new_refusals(self) -> NDArray[np.int64]:
-        """Return (3,), how many transforms were refused since the last call."""
-        _ = self.samples
-        new, self._told = self.refused - self._told, self.refused.copy()
-        return new
-
-    def clear(self) -> None:
-        """Drop all transforms."""
-        self._stamps_ns, self._poses, self._waiting = np.zeros(0, np.int64), np.zeros((0, 7)), []
+    def settle(self) -> None:
+        """Put what waits with the rest, of which what nobody will ask for goes."""
+        if self.waiting:
+            stamps, poses = zip(*self.waiting, strict=True)
+            self.waiting = []
+            self.extend(stamps, poses)
+            self.forget_before(self._newest_ns - _KEPT_NS)
+            self._keep_from(-1 if self.static else -_MOST_KEPT)
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop what no later pose needs, but for some that tell the usual step."""
-        stamps_ns, poses = self.samples
         if not self.static:
-            first = max(int(np.searchsorted(stamps_ns, stamp_ns)) - _SPARE, 0)
-            self._stamps_ns, self._poses = stamps_ns[first:], poses[first:]
+            self._keep_from(max(int(np.searchsorted(self.samples[0], stamp_ns)) - _SPARE, 0))
 
-    def _settle(self) -> None:
-        """Put what waits with the rest, of which what nobody will ask for goes."""
-        stamps, poses = zip(*self._waiting, strict=True)
-        self._waiting = []
-        self.extend(stamps, poses)
-        self.forget_before(self._newest_ns - _KEPT_NS)
-        most = 1 if self.static else _MOST_KEPT
-        self._stamps_ns, self._poses = self._stamps_ns[-most:], self._poses[-most:]
+    def _keep_from(self, first: int) -> None:
+        stamps_ns, poses = self.samples
+        self.samples = stamps_ns[first:], poses[first:]
+
+    def new_refusals(self) -> NDArray[np.int64]:
+        """Return (3,), how many transforms were refused since the last call."""
+        new, self._told = self.refused - self._told, self.refused
+        return new
 
     def ordered(self, notes: list[str]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return the samples in the order of their stamps, one a stamp, of one run of time."""

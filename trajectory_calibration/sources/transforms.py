@@ -86,7 +86,7 @@ class TransformTree:
 
         One frame stands for all that are fixed to it.
         """
-        moving = [edge for edge in self.edges if not edge.static and edge.count_changes()]
+        moving = [edge for edge in self.edges if not edge.static and edge.changes]
         found = []
         for parent in dict.fromkeys(edge.parent for edge in moving):
             paths = self._paths(parent)
@@ -202,12 +202,14 @@ class ChainFollower:
         apart.
         """
         stamps_ns, poses = np.zeros(0, np.int64), np.zeros((0, 4, 4))
+        for edge in self._tree.edges:
+            edge.settle()
         try:
             links = self._tree.chain(self.parent, self.child)
             if not self._chain:
                 self._chain = frozenset(link.edge for link in links)
                 for edge in filter(self._is_needless, self._tree.edges):
-                    edge.clear()
+                    self._tree.drop(edge)
             stamps_ns, poses = self._compose(links)
         except TopicError as error:
             self.waiting_for = str(error)
@@ -223,7 +225,7 @@ class ChainFollower:
         if self._stamps_of is None:
             edge = stamp_edge(links)
             # Until then it may be another one that changes most often.
-            if edge.count_changes() < 5:
+            if edge.changes < 5:
                 raise TopicError(f'{edge} has hardly moved yet')
             self._stamps_of = edge
         stamps_ns, poses = _compose(links, self._stamps_of, [])
@@ -279,7 +281,7 @@ def stamp_edge(links: Sequence[Link]) -> Edge:
         if not len(edge.samples[0]):
             raise TopicError(f'{edge} has no usable transform ({fault_words(edge.refused)}); '
                              'correct its sender')
-    changes = {link.edge: link.edge.count_changes() for link in links if not link.edge.static}
+    changes = {link.edge: link.edge.changes for link in links if not link.edge.static}
     most = max(changes.values(), default=0)
     if not most:
         chain = ', '.join(str(link.edge) for link in links)
