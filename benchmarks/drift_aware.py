@@ -28,7 +28,7 @@ import numpy as np
 
 from benchmarks.paper.published import read_kitti, SEQUENCES, simulation_runs
 from benchmarks.paper.tasks import HARDEST
-from trajectory_calibration import calibrate, Trajectory
+from trajectory_calibration import calibrate, CalibrationConfig, Trajectory
 from trajectory_calibration.assessment.metrics import absolute_errors
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.simulation import (
@@ -119,7 +119,7 @@ def published_drives(data):
     for sequence in reversed(SEQUENCES):
         drive = read_kitti(data, sequence)
         both = drive.a, drive.b
-        interpolated = associate(*both, method='interpolate', max_gap_ns=500_000_000)
+        interpolated = associate(*both, CalibrationConfig(association='interpolate'))
         coinciding = associate_nearest(*both, max_difference_ns=12_000_000)
         for name, solve, given, poses in (
                 ('calibrate()', calibrate, both, None),

@@ -31,7 +31,7 @@ class Executor:
 
     """
 
-    backend: str = 'joblib'
+    backend: str = BACKENDS[0]
     jobs: int | None = None
     scheduler: str | None = None
 

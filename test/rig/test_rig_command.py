@@ -196,7 +196,8 @@ def test_a_sensor_that_was_not_compared_is_incomplete(folder, rig, capsys):
 
 
 def test_topics_of_a_bag(tmp_path, capsys):
-    write_bag(tmp_path / 'drive', {f'/{k}': v for k, v in drive().trajectories.items()})
+    write_bag(tmp_path / 'drive', {f'/{k}': v for k, v in drive().trajectories.items()},
+              message='odometry', storage='mcap')
     (tmp_path / 'RIG.yaml').write_text(
         'sensors:\n  lidar: {topic: /lidar}\n  front: {topic: /front}\n  rear: {topic: /rear}\n')
     assert main(['rig', str(tmp_path / 'RIG.yaml'), '--bag', str(tmp_path / 'drive')]) == 0

@@ -196,9 +196,9 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
 
 
 def test_only_what_can_be_written_is_accepted(tmp_path):
-    for wrong in ({'message': 'x'}, {'storage': 'x'}):
+    for message, storage in (('x', 'mcap'), ('odometry', 'x')):
         with pytest.raises(ConfigError, match=r"'x' is unknown; needed one of \w+, \w+$"):
-            write_bag(tmp_path / 'bag', {}, **wrong)
+            write_bag(tmp_path / 'bag', {}, message=message, storage=storage)
     assert not list(tmp_path.iterdir())
 
 

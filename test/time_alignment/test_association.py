@@ -25,6 +25,7 @@ from trajectory_calibration.time_alignment.pairing import (
 
 MS = 1_000_000
 GAP = 500 * MS
+INTERPOLATE = CalibrationConfig(association='interpolate')
 
 
 def still(stamps_ns):
@@ -100,7 +101,7 @@ def test_an_offset_is_added_to_the_stamps_of_b(offset_s):
     a = Trajectory(t, helix(t, np.eye(4)))
     b = Trajectory(t - offset_ns, helix(t, np.eye(4)))
     for method in ('nearest', 'interpolate'):
-        pairs = associate(a, b, method=method, time_offset_ns=offset_ns)
+        pairs = associate(a, b, CalibrationConfig(association=method), offset_ns)
         np.testing.assert_array_equal(pairs.stamps_ns, t)
         np.testing.assert_allclose(pairs.poses_a, pairs.poses_b, atol=1e-9)
         assert pairs.summary.time_offset_s == pytest.approx(offset_s)
@@ -143,7 +144,7 @@ def test_auto_keeps_to_coinciding_stamps_where_most_coincide():
     assert pairs.summary.max_difference_s < 1e-3
     assert len(pairs) == np.isin(t_b - MS // 2, t_a).sum() - pairs.summary.outside
     assert pairs.summary.between > 0
-    everywhere = associate(a, b, method='interpolate')
+    everywhere = associate(a, b, INTERPOLATE)
     assert len(everywhere) == len(pairs) + pairs.summary.between
     np.testing.assert_allclose(pairs.poses_a, pairs.poses_b, atol=1e-6)
 
@@ -151,7 +152,7 @@ def test_auto_keeps_to_coinciding_stamps_where_most_coincide():
 def test_auto_interpolates_where_few_coincide():
     t_a, t_b = stamps(300, step_ns=33_333_333), stamps(100) + 13 * MS
     a, b = Trajectory(t_a, helix(t_a, np.eye(4))), Trajectory(t_b, helix(t_b, np.eye(4)))
-    assert associate(a, b).summary == associate(a, b, method='interpolate').summary
+    assert associate(a, b).summary == associate(a, b, INTERPOLATE).summary
     assert associate(a, b).summary.between == 0
     assert associate(a, b).summary.stamps_of == 'b'
 
@@ -176,7 +177,7 @@ def test_auto_interpolates_the_denser_whichever_it_is(offset_ns):
     assert summary.time_offset_s == offset_ns * 1e-9
     assert summary.pairs + summary.outside + summary.in_gaps == 40
     with pytest.raises(AssociationError, match='fall in gaps of receiver longer than'):
-        associate(a, b, method='interpolate', time_offset_ns=offset_ns)
+        associate(a, b, INTERPOLATE, offset_ns)
 
 
 def test_poses_of_the_sparser_without_a_partner_are_a_warning():
@@ -221,7 +222,7 @@ def test_too_few_pairs_say_where_the_others_went(method):
     a = still(stamps(3, step_ns=10_000 * MS))
     b = still(stamps(30, step_ns=700 * MS) + 5 * MS)
     with pytest.raises(AssociationError, match=r'pose pairs of 3 and 30 poses .*at least 3'):
-        associate(a, b, method=method, max_difference_ns=MS)
+        associate(a, b, CalibrationConfig(association=method, max_time_difference=1e-3))
 
 
 def test_two_poses_are_too_few_whatever_the_settings():
@@ -242,6 +243,5 @@ def test_gaps_are_a_warning_in_the_result():
 
 
 def test_an_unknown_method_is_refused():
-    trajectory = still([0, 1, 2])
     with pytest.raises(ConfigError, match=r"'near' .* needed one of auto, interpolate, nearest"):
-        associate(trajectory, trajectory, method='near')
+        CalibrationConfig(association='near')

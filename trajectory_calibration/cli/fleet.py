@@ -7,15 +7,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
 
 from trajectory_calibration.cli.compare import add_output_options, FILES, report
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
 from trajectory_calibration.cli.progress import progress_bar
 from trajectory_calibration.cli.writing import require_new
-
-if TYPE_CHECKING:
-    from trajectory_calibration.executor import Executor
+from trajectory_calibration.executor import Executor
 
 OUTPUT = Path('fleet')
 
@@ -46,8 +43,8 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """Add where the tasks run."""
     parser.add_argument('--jobs', type=int, metavar='N', help='processes (default: one per core)')
     parser.add_argument(
-        '--backend', default='joblib', metavar='NAME',
-        help='joblib, or dask for a cluster (default: joblib)')
+        '--backend', default=Executor.backend, metavar='NAME',
+        help=f'joblib, or dask for a cluster (default: {Executor.backend})')
     parser.add_argument(
         '--scheduler', metavar='ADDRESS',
         help='address of a Dask cluster (default: one on this machine)')
@@ -78,5 +75,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 def executor_of(arguments: argparse.Namespace) -> Executor:
     """Return where the tasks run that ``add_executor_options`` let a person choose."""
-    from trajectory_calibration.executor import Executor
     return Executor(arguments.backend, arguments.jobs, arguments.scheduler)

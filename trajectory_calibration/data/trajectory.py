@@ -16,6 +16,9 @@ from trajectory_calibration.errors import counted, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
+# Of a trajectory that nobody named.
+WORLD_FRAME, SENSOR_FRAME = 'map', 'sensor'
+
 # Deviation of a quaternion's norm, or of a rotation matrix's columns, from unit length. Up to the
 # first limit it is rounding to six digits and is corrected silently; up to the second it is
 # corrected with a finding; beyond, the numbers are not a rotation.
@@ -62,8 +65,8 @@ class Trajectory:
 
     stamps_ns: NDArray[np.int64]
     poses: FloatArray
-    world_frame: str = 'map'
-    sensor_frame: str = 'sensor'
+    world_frame: str = WORLD_FRAME
+    sensor_frame: str = SENSOR_FRAME
     findings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
@@ -96,8 +99,8 @@ class Trajectory:
         stamps_ns: ArrayLike,
         positions: ArrayLike,
         quaternions_xyzw: ArrayLike,
-        world_frame: str = 'map',
-        sensor_frame: str = 'sensor',
+        world_frame: str = WORLD_FRAME,
+        sensor_frame: str = SENSOR_FRAME,
         findings: tuple[Finding, ...] = (),
     ) -> Trajectory:
         """Build a trajectory from (N,) stamps, (N, 3) metres, (N, 4) quaternions x, y, z, w.
@@ -134,8 +137,8 @@ class Trajectory:
         positions: ArrayLike,
         quaternions_xyzw: ArrayLike,
         *,
-        world_frame: str = 'map',
-        sensor_frame: str = 'sensor',
+        world_frame: str = WORLD_FRAME,
+        sensor_frame: str = SENSOR_FRAME,
     ) -> Trajectory:
         """Build a trajectory from arrays, as in a notebook.
 

@@ -188,15 +188,13 @@ def row(entry: Entry) -> dict[str, Any]:
     return cells
 
 
-def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Comparison:
+def compare(entries: Sequence[Entry]) -> Comparison:
     """Compare answers.
 
     Parameters
     ----------
     entries : sequence of Entry
         Sorted by their dates here; those without a date, or of one minute, keep their order.
-    probability : float
-        Of finding a change among answers of one truth.
 
     Raises
     ------
@@ -232,7 +230,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
     noise_ratio = _noise_ratio(results, covariances)
     sums = _running_sums(steps, np.linalg.inv(np.array(covariances)) / noise_ratio**2)
     # Half of what is stated: the other half goes to the single axes of each change.
-    penalty = quantile(6, 0.5 * probability / (len(results) - 1))
+    penalty = quantile(6, 0.5 * FALSE_ALARM / (len(results) - 1))
     edges = _partition(sums, penalty)
     chi_squared = _mean(sums, 0, len(results))[2] * noise_ratio**2
     dof = int(sum((np.sqrt(np.diagonal(P)) <= limits).sum() for P in covariances)) - 6
@@ -242,7 +240,7 @@ def compare(entries: Sequence[Entry], probability: float = FALSE_ALARM) -> Compa
         for i, j in pairwise(edges) for mean, P, _ in [_mean(sums, i, j)]]
     changes = tuple(
         difference((one.T_a_b, one.covariance), (two.T_a_b, two.covariance), config,
-                   probability / (len(results) - 1))
+                   FALSE_ALARM / (len(results) - 1))
         for one, two in pairwise(stretches))
     # Errors beyond twice their stated deviations are no noise: no mean is formed.
     if noise_ratio > 2 and not changes:

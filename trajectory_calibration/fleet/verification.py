@@ -24,7 +24,6 @@ from trajectory_calibration.fleet.differences import (
     in_units,
 )
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
@@ -125,8 +124,6 @@ def verify(
     trajectory_a: Trajectory,
     trajectory_b: Trajectory,
     config: CalibrationConfig | None = None,
-    *,
-    probability: float = FALSE_ALARM,
 ) -> Verification:
     """Calibrate other data of the same sensors, and compare.
 
@@ -139,8 +136,6 @@ def verify(
     config : CalibrationConfig, optional
         How to calibrate them; as ``result`` was, where omitted. Priors are left out: with them,
         a component would confirm itself.
-    probability : float
-        Of calling an extrinsic moved that is not.
 
     Returns
     -------
@@ -183,7 +178,7 @@ def verify(
     if found.covariance is None or reasons:
         return cannot_tell(' '.join(reasons) or 'the solver gave no covariance')
     old, new = (result.T_a_b, result.covariance), (found.T_a_b, found.covariance)
-    step = difference(old, new, config, probability)
+    step = difference(old, new, config)
     if step.differs and _is_inverse(old, new, config):
         raise ResultError(
             'are A and B exchanged? The new answer is the inverse of the saved one. Give first '

@@ -32,7 +32,7 @@ from trajectory_calibration.result import CalibrationResult
 _BAR = 2.0
 
 
-def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> str:
+def fleet_page(comparison: Comparison) -> str:
     """Return the page as HTML: no script, no file beside it."""
     results = [entry.result for entry in comparison.entries if entry.result is not None]
     frame_a, frame_b = results[0].frame_a, results[0].frame_b
@@ -54,7 +54,7 @@ def fleet_page(comparison: Comparison, title: str = 'Extrinsic over time') -> st
         f'Chi-squared about one mean of all: {comparison.chi_squared:,.1f} of '
         f'{comparison.degrees_of_freedom} degrees of freedom. docs/findings.md explains the '
         'findings.')
-    return page(title, box + charts + recordings, scripts=())
+    return page('Extrinsic over time', box + charts + recordings, scripts=())
 
 
 def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str:

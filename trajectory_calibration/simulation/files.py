@@ -52,8 +52,7 @@ def _rows(poses: se3.FloatArray) -> list[list[float]]:
 
 
 def write_bag(
-    path: Path, trajectories: Mapping[str, Trajectory], *, message: str = 'odometry',
-    storage: str = 'mcap',
+    path: Path, trajectories: Mapping[str, Trajectory], *, message: str, storage: str,
 ) -> None:
     """Write a rosbag2: one topic per trajectory, messages in the order of their stamps.
 

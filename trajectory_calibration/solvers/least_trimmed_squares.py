@@ -110,7 +110,7 @@ class TrimmedCost:
         return Candidates(T_a_b, weights, cost)
 
     def alternate(
-        self, starts: FloatArray, tolerance: float = 1e-12,
+        self, starts: FloatArray, tolerance: float = quadratic.SETTLED,
     ) -> tuple[Candidates, int]:
         """Alternate weights and extrinsic from (S, 4, 4) starts; return the lowest, and the steps.
 
@@ -171,7 +171,8 @@ class TrimmedCost:
         return weights, multiplier
 
     def minimum(
-        self, weights: FloatArray, starts: FloatArray | None = None, tolerance: float = 1e-12,
+        self, weights: FloatArray, starts: FloatArray | None = None,
+        tolerance: float = quadratic.SETTLED,
     ) -> FloatArray:
         """Return (S, 4, 4) minima for (S, M) weights; starts (S, 3, 3), linear ones if omitted."""
         G = quadratic.held_translation(self.gram(weights), self.prior)

@@ -45,7 +45,8 @@ _NO_MOTION = 1e-9
 # The same, relative to the motion of a drive straight ahead.
 _UNTURNED = 1e-6
 
-_MAX_ITERATIONS = 100
+# A minimisation ends with a step below the first, radians, or after so many.
+SETTLED, _MAX_ITERATIONS = 1e-12, 100
 
 # Motions whose features are computed at once.
 CHUNK = 8192
@@ -245,7 +246,7 @@ def best_translation(G: FloatArray, R: FloatArray) -> FloatArray:
 
 
 def minimise_rotations(
-    G: FloatArray, starts: FloatArray, tolerance: float = 1e-12,
+    G: FloatArray, starts: FloatArray, tolerance: float = SETTLED,
 ) -> tuple[FloatArray, FloatArray, int]:
     """Run Newton's method on SO(3) from (S, 3, 3) starts, the translation eliminated.
 

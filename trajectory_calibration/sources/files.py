@@ -18,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
+from trajectory_calibration.data.trajectory import (
+    ROTATION_TOLERANCE,
+    SENSOR_FRAME,
+    Trajectory,
+    WORLD_FRAME,
+)
 from trajectory_calibration.errors import ConfigError, counted, SourceError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -76,8 +81,8 @@ class FileSource:
     path: str | os.PathLike[str]
     file_format: str | None = None
     times: str | os.PathLike[str] | None = None
-    sensor_frame: str = 'sensor'
-    world_frame: str = 'map'
+    sensor_frame: str = SENSOR_FRAME
+    world_frame: str = WORLD_FRAME
     columns: str | None = None
     quaternion_order: str | None = None
     time_unit: str | None = None

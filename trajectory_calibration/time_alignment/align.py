@@ -36,10 +36,4 @@ def match_at(
 ) -> PosePairs:
     """Return the pose pairs for a known clock correction of b; raises as ``associate``."""
     return associate(
-        a,
-        b.retimed(clock.drift, clock.drift_from_ns),
-        method=config.association,
-        max_difference_ns=round(config.max_time_difference * 1e9),
-        max_gap_ns=round(config.max_gap * 1e9),
-        time_offset_ns=round(clock.offset_s * 1e9),
-    )
+        a, b.retimed(clock.drift, clock.drift_from_ns), config, round(clock.offset_s * 1e9))

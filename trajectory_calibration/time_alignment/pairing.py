@@ -9,15 +9,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.pose_pairs import (
-    AssociationSummary,
-    METHODS,
-    MIN_PAIRS,
-    PosePairs,
-)
+from trajectory_calibration.data.pose_pairs import AssociationSummary, MIN_PAIRS, PosePairs
 from trajectory_calibration.data.trajectory import ROUNDING_TOLERANCE, Trajectory
-from trajectory_calibration.errors import AssociationError, ConfigError, counted
+from trajectory_calibration.errors import AssociationError, counted
 from trajectory_calibration.geometry.interpolation import interpolate, left_of
 
 # Stamps closer than this are one instant: rounding to microseconds.
@@ -28,25 +24,24 @@ UNPAIRED_SHARE = 0.1
 
 
 def associate(
-    a: Trajectory, b: Trajectory, *, method: str = 'auto', max_difference_ns: int = 20_000_000,
-    max_gap_ns: int = 500_000_000, time_offset_ns: int = 0,
+    a: Trajectory, b: Trajectory, config: CalibrationConfig | None = None, time_offset_ns: int = 0,
 ) -> PosePairs:
-    """Pair the poses of two trajectories over their common time span.
+    """Pair the poses of two trajectories over their common time span, by ``config.association``.
 
-    ``method`` is 'nearest' (``associate_nearest``), 'interpolate' (``associate_by_interpolation``)
-    or 'auto'. 'auto' interpolates the trajectory with the higher rate, or a if they are similar.
+    That is 'nearest' (``associate_nearest``), 'interpolate' (``associate_by_interpolation``) or
+    'auto'. 'auto' interpolates the trajectory with the higher rate, or a if they are similar.
     If at least half of the poses of the other one lie within 10 ms of a pose, or in a gap of at
     most 0.15 s, only these are used: keyframes with a common trigger need no interpolation.
     ``time_offset_ns`` is added to the stamps of b.
 
-    Raise AssociationError if they do not overlap in time or give fewer than three pairs,
-    ConfigError for an unknown method.
+    Raise AssociationError if they do not overlap in time or give fewer than three pairs.
     """
-    if method not in METHODS:
-        raise ConfigError(f'method {method!r} is unknown; needed one of {", ".join(METHODS)}')
+    config = config or CalibrationConfig()
+    method, max_gap_ns = config.association, round(config.max_gap * 1e9)
     if method == 'nearest':
         return associate_nearest(
-            a, b, max_difference_ns=max_difference_ns, time_offset_ns=time_offset_ns)
+            a, b, max_difference_ns=round(config.max_time_difference * 1e9),
+            time_offset_ns=time_offset_ns)
     if method == 'auto' and is_sparser(a.stamps_ns, b.stamps_ns):
         # Checked here, because the message names an offset to add to the stamps of b.
         _require_overlap(a, b.stamps_ns + time_offset_ns, b.sensor_frame, time_offset_ns)
