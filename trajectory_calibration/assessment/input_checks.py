@@ -39,7 +39,11 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError, counted, MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.solvers import solver_info, solvers_that_estimate
+from trajectory_calibration.solvers import (
+    noise_identifier,
+    solver_info,
+    solvers_that_estimate,
+)
 from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import Clock
 
@@ -167,7 +171,8 @@ def orientation_jumps(pairs: PosePairs) -> tuple[Finding, ...]:
     return (Finding(
         'orientation-jumps', f'{counted(len(found), "orientation jump")} (largest '
         f'{rounded(np.rad2deg(difference[k]))} deg at {since_s:.1f} s): SLAM restart or loop '
-        'closure? Use drift_aware, which excludes them, or calibrate the parts separately',
+        'closure? '
+        f'Use {noise_identifier().name}, which excludes them, or calibrate the parts separately',
         {'steps': len(found), 'largest_deg': float(np.rad2deg(difference[k]))}),)
 
 

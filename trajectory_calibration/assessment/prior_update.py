@@ -81,8 +81,8 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
     if np.linalg.norm(axes.T @ rotation) > _MOSTLY * np.linalg.norm(rotation):
         # The translation belongs to a rotation that is arbitrary.
         check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
-                 f'{DEFAULT_SOLVER} or a joint solver (dnl), or drive so that the motion shows '
-                 'the rotation, about two axes')
+                 f'{DEFAULT_SOLVER}, or drive so that the motion shows the rotation, about two '
+                 'axes')
         if not np.isfinite(prior.rotation_std).any():
             what = 'prior of the translation'
             check = f'{check}, or give prior_rotation, too'

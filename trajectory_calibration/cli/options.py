@@ -102,5 +102,5 @@ def _read_settings(path: Path) -> dict[str, Any]:
     if isinstance(data, dict) and 'format_version' in data:
         data = data.get('config')
     if not isinstance(data, dict):
-        raise ConfigError(f'{path} holds no settings; needed lines such as "solver: dnlo"')
+        raise ConfigError(f'{path} holds no settings; needed lines such as "max_gap: 0.5"')
     return {str(name): value for name, value in data.items()}

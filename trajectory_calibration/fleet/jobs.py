@@ -154,7 +154,8 @@ def _from_yaml(
         settings = {**config.to_dict(), **(common.get('config') or {}),
                     **(given.get('config') or {})}
         if any(not isinstance(name, str) for name in settings):
-            raise ConfigError(f'{path}: a setting has no name; needed lines as "solver: dnl"')
+            raise ConfigError(
+                f'{path}: a setting has no name; needed lines such as "max_gap: 0.5"')
         merged['config'] = CalibrationConfig.from_dict(settings)
         jobs.append(_from_mapping(path.parent, merged))
     return jobs

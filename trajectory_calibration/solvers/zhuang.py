@@ -34,6 +34,7 @@ from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
+from trajectory_calibration.solvers.registry import DEFAULT_SOLVER
 from trajectory_calibration.solvers.separable import align_rotation_vectors, exclude_half_turns
 from trajectory_calibration.solvers.solution import Equations, Solution
 
@@ -67,15 +68,15 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     T_a_b = se3.from_rotation_translation(_from_z(found.x[:3]) @ R_turn, found.x[3:])
     if angle > _LARGE_ROTATION:
         findings = (*findings, Finding(
-            'zhuang-large-rotation',
-            f'zhuang: the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
-            'other, where its parameter grows and magnifies noise' + (
+            'rotation-large',
+            f'the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
+            'other, where the parameter of this solver grows and magnifies noise' + (
                 ' without bound; solved in rotated coordinates' if turned else '')
-            + '; prefer dnl or dnlo', {'angle_deg': float(np.rad2deg(angle))}))
+            + f'; prefer {DEFAULT_SOLVER}', {'angle_deg': float(np.rad2deg(angle))}))
     if not found.settled:
         findings = (*findings, Finding(
-            'not-converged', f'zhuang stopped after {found.iterations} iterations before it '
-            'settled. Prefer dnl or dnlo'))
+            'not-converged', f'the solver stopped after {found.iterations} iterations before it '
+            f'settled. Prefer {DEFAULT_SOLVER}'))
     return Solution(T_a_b, found.cost, found.iterations, inliers=inliers,
                     linearise=partial(linearise, R_turn), findings=findings)
 
