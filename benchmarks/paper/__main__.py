@@ -12,7 +12,7 @@ import sys
 from benchmarks.paper.paper import PaperBenchmark, run_paper
 from trajectory_calibration.cli.fleet import add_executor_options, executor_of
 from trajectory_calibration.cli.main import guarded
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.solvers import SOLVER_NAMES
 
 OUTPUT = Path('benchmark_paper')
@@ -38,8 +38,8 @@ def _run(argv: Sequence[str]) -> int:
         executor=executor_of(arguments),
         command=' '.join(['python -m benchmarks.paper', *argv]),
     )
-    with progress_bar('calibrating') as progress:
-        summary = run_paper(benchmark, progress)
+    with progress('calibrating') as draw:
+        summary = run_paper(benchmark, draw)
     print(summary)
     return 0
 

@@ -251,22 +251,23 @@ def test_progress_on_a_terminal_is_drawn_and_cleared(monkeypatch):
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
     monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
-    with progress.progress_bar('reading') as draw:
-        draw(1, 4)
-        draw(4, 4)
-    assert terminal.getvalue() == (
-        '\rreading [########......................]  25%'
-        '\rreading [##############################] 100%\r\033[K')
+    monkeypatch.setattr(progress, '_TICK_S', 0.001)
+    with progress.progress('reading') as draw:
+        for done, bar in ((1, '[########......................]  25%'), (4, '100%')):
+            draw(done, 4)
+            while bar not in terminal.getvalue():
+                time.sleep(0.001)
+    assert terminal.getvalue().endswith(f'\rreading [{"#" * 30}] 100%\r\033[K')
 
 
 def test_short_work_and_files_see_no_progress(monkeypatch):
     terminal, file = _Terminal(), io.StringIO()
     monkeypatch.setattr(sys, 'stderr', terminal)
-    with progress.progress_bar('reading') as draw:
+    with progress.progress('reading') as draw:
         draw(1, 2)
     monkeypatch.setattr(sys, 'stderr', file)
     monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
-    with progress.progress_bar('reading') as draw:
+    with progress.progress('reading') as draw:
         draw(1, 2)
     assert (terminal.getvalue(), file.getvalue()) == ('', '')
 
@@ -279,7 +280,7 @@ def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
                  'inspect': [a],
                  'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise',
                               '--force']}[command]
-    monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
+    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
     assert main([command, *arguments]) == 0
@@ -300,22 +301,14 @@ def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
 def test_a_clock_counts_and_is_cleared_before_an_error(monkeypatch):
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
-    monkeypatch.setattr(progress, '_CLOCK_PATIENCE_S', 0.0)
+    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
     monkeypatch.setattr(progress, '_TICK_S', 0.01)
-    with pytest.raises(SolverError), progress.running_clock('calibrating'):
+    with pytest.raises(SolverError), progress.progress('calibrating'):
         while terminal.getvalue().count('calibrating') < 3:
             time.sleep(0.01)
         raise SolverError('found nothing')
     assert terminal.getvalue().count('\rcalibrating, 0 s') >= 3
     assert terminal.getvalue().endswith('\r\033[K')
-
-
-def test_short_work_sees_no_clock(monkeypatch):
-    terminal = _Terminal()
-    monkeypatch.setattr(sys, 'stderr', terminal)
-    with progress.running_clock('calibrating'):
-        pass
-    assert terminal.getvalue() == ''
 
 
 def test_arguments_of_the_process_are_the_default(monkeypatch, capsys):

@@ -11,7 +11,7 @@ import sys
 from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_input_arguments, load_pair
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
-from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.cli.writing import (
     add_truth_argument,
     plot_paths,
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         loaded = a, b = load_pair(arguments)
         truth = read_truth(arguments.ground_truth, a.sensor_frame, b.sensor_frame)
-        with running_clock('calibrating'):
+        with progress('calibrating'):
             result = calibrate(a, b, config)
     except ConfigError:
         # Wrong usage says nothing of the data.

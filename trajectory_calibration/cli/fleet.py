@@ -10,7 +10,7 @@ import sys
 
 from trajectory_calibration.cli.compare import add_output_options, FILES, report
 from trajectory_calibration.cli.options import add_config_options, config_from_arguments
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.executor import Executor
 
@@ -63,8 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
         require_new([*(arguments.output / name for name in FILES), *others],
                     force=arguments.force)
     order = {job.name: k for k, job in enumerate(jobs)}
-    with progress_bar('calibrating') as progress:
-        entries = list(run_jobs(jobs, results, executor_of(arguments), progress))
+    with progress('calibrating') as draw:
+        entries = list(run_jobs(jobs, results, executor_of(arguments), draw))
     # Whichever was done first, and wherever: the same table.
     entries.sort(key=lambda entry: order[entry.name])
     for entry in entries:

@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.sources.files import FORMATS, is_bag
@@ -96,16 +96,12 @@ def load_pair(
         if not arguments.bag:
             options = replace(options, frame=options.frame or frame)
         inputs[f'sensor_{name}'] = getattr(arguments, name), options
-    if not arguments.bag:
-        with running_clock('reading'):
-            a, b = load_inputs(inputs).values()
-        return a, b
-    if all(Path(name).is_file() for name, _ in inputs.values()):
+    if arguments.bag and all(Path(name).is_file() for name, _ in inputs.values()):
         raise ConfigError(
             f'--bag {arguments.bag[0]} is not used: {arguments.a} and {arguments.b} are files. '
             'Leave out --bag, or name topics of the bag')
-    with progress_bar('reading') as progress:
-        a, b = load_inputs(inputs, arguments.bag, progress).values()
+    with progress('reading') as draw:
+        a, b = load_inputs(inputs, arguments.bag, draw).values()
     return a, b
 
 

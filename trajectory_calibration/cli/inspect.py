@@ -12,7 +12,7 @@ import sys
 from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.inputs import add_file_arguments, options_of
-from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.errors import (
     CalibrationError,
     ConfigError,
@@ -75,7 +75,7 @@ def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | Cali
 
 
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
-    with running_clock('reading'):
+    with progress('reading'):
         trajectory, read_as = load_file(str(path), path.name, options)
     found = inspect_trajectory(trajectory, str(path), 'file')
     # The path stands above the findings, and no format of files names its frames.
@@ -90,11 +90,11 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
     # What bags need loads where a bag is read, and only there.
     from trajectory_calibration.sources.bags import open_bags
     from trajectory_calibration.sources.cdr import TF
-    with open_bags([path]) as reader, progress_bar('reading') as progress:
+    with open_bags([path]) as reader, progress('reading') as draw:
         tree = reader.transforms()
         pairs = [f'{TF_PREFIX}{parent}.{child}' for parent, child in tree.pairs()]
         # Six pairs of frames are described in full; the others are named.
-        tracks = reader.read([*reader.serving, *pairs[:6]], progress)
+        tracks = reader.read([*reader.serving, *pairs[:6]], draw)
         others = [
             {'topic': channel.topic, 'msgtype': channel.msgtype, 'messages': channel.messages,
              **({} if channel.encoding == 'cdr' else {'encoding': channel.encoding})}

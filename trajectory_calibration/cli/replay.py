@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trajectory_calibration import exit_status
-from trajectory_calibration.cli.progress import progress_bar
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.cli.writing import print_as
 from trajectory_calibration.config.yaml_file import parse_yaml, read_yaml
 from trajectory_calibration.errors import ConfigError, TopicError
@@ -58,8 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
         for name in ('topic_a', 'topic_b'))
     if topic_a == topic_b:
         raise ConfigError(f'topic_a and topic_b are both {topic_a}; needed two sensors')
-    with open_bags(arguments.bag) as reader, progress_bar('reading') as progress:
-        tracks = reader.read([topic_a, topic_b], progress)
+    with open_bags(arguments.bag) as reader, progress('reading') as draw:
+        tracks = reader.read([topic_a, topic_b], draw)
     session = CalibrationSession((topic_a, topic_b), to_limits(values))
     for topic, name, buffer in zip(
             (topic_a, topic_b), ('type_a', 'type_b'), session.buffers, strict=True):

@@ -16,7 +16,7 @@ from typing import Any, TYPE_CHECKING
 from trajectory_calibration import exit_status
 from trajectory_calibration.cli.inputs import add_bag_argument
 from trajectory_calibration.cli.options import refuse_options
-from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.cli.writing import (
     print_as,
     print_table,
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
             # Exports need frames of their own: said before the calibration, not after it.
             require_own_frames({name: config.of(name).frame or trajectory.sensor_frame
                                 for name, trajectory in trajectories.items()})
-        with running_clock('calibrating'):
+        with progress('calibrating'):
             rig = calibrate_rig(trajectories, config)
     # No file that cannot be written takes the answer away, and no reader that has gone the files.
     try:
@@ -151,7 +151,7 @@ def write_rig_page(
 ) -> None:
     """Write the page of a rig."""
     from trajectory_calibration.outputs.rig_report import render_rig
-    with running_clock('writing the report'):
+    with progress('writing the report'):
         write_text(path, render_rig(rig, trajectories, record))
 
 
@@ -181,8 +181,8 @@ def _read(
 ) -> tuple[list[tuple[str, Path]], dict[str, Trajectory]]:
     """Return the bags and files, each with its role, and the trajectory of each sensor."""
     bags = [*description.bags, *map(Path, arguments.bag)]
-    with progress_bar('reading') as progress:
-        trajectories = load_inputs(description.inputs, bags, progress if bags else None)
+    with progress('reading') as draw:
+        trajectories = load_inputs(description.inputs, bags, draw)
     return [('bag', bag) for bag in bags] + [
         (name, Path(source)) for name, (source, _) in description.inputs.items()
         if Path(source).is_file()], trajectories
@@ -263,7 +263,7 @@ def verify_rig(
     config = replace(
         saved.config, base=saved.base, calibration=settings, sensors={
             name: SensorSettings(scale=saved.config.of(name).scale) for name in trajectories})
-    with running_clock('verifying'):
+    with progress('verifying'):
         found = compare_rigs(saved, calibrate_rig(trajectories, config))
     print_as(arguments.format, rig_to_data(found), rig_to_text(found))
     return _status([found])

@@ -10,7 +10,7 @@ from pathlib import Path
 import shlex
 from typing import Any
 
-from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.cli.writing import require_new
 from trajectory_calibration.config.yaml_file import make_folder
 from trajectory_calibration.errors import ConfigError, counted, SourceError
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.mounting is not None:
         from trajectory_calibration.outputs.extrinsic_file import transform_of
         mounting = transform_of(arguments.mounting)
-    with running_clock('simulating'):
+    with progress('simulating'):
         pair = simulate(scenario, arguments.seed, mounting)
         hint = _write(pair, arguments)
     for name, trajectory in (('a', pair.a), ('b', pair.b)):

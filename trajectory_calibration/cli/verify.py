@@ -14,7 +14,7 @@ from trajectory_calibration.cli.options import (
     config_from_arguments,
     given_options,
 )
-from trajectory_calibration.cli.progress import running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.fleet.verification import verify
@@ -49,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = CalibrationResult.load(arguments.result)
     config = _config(result.config, arguments)
     a, b = load_pair(arguments, (result.frame_a, result.frame_b))
-    with running_clock('verifying'):
+    with progress('verifying'):
         found = verify(result, a, b, config)
     if arguments.format == 'json':
         print(json.dumps(found.to_dict()))

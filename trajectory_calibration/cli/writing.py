@@ -13,7 +13,7 @@ import shlex
 import sys
 from typing import Any, TYPE_CHECKING
 
-from trajectory_calibration.cli.progress import progress_bar, running_clock
+from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, to_yaml, write_text, write_yaml
 from trajectory_calibration.data.trajectory import Trajectory
@@ -138,7 +138,7 @@ def write_pages(
     from trajectory_calibration.outputs.report.render import render
     written = []
     record = None if page is None else record_of(arguments, _inputs(arguments))
-    with running_clock('writing the report'):
+    with progress('writing the report'):
         data = report_data(result, a, b, truth)
         if page is not None:
             write_text(page, render(data, record))
@@ -172,8 +172,8 @@ def write_failure(
 def record_of(arguments: argparse.Namespace, inputs: Sequence[tuple[str, Path]]) -> Record:
     """Return the command line and the hashes of the inputs."""
     from trajectory_calibration.outputs.report import hash_inputs, Record
-    with progress_bar('hashing the inputs') as progress:
-        hashed = hash_inputs(inputs, progress)
+    with progress('hashing the inputs') as draw:
+        hashed = hash_inputs(inputs, draw)
     return Record(shlex.join(['trajectory_calibration', *arguments.argv]), hashed)
 
 

@@ -64,9 +64,7 @@ class MotionPairs:
         """Return the motions with the translations of b multiplied by ``scale``."""
         if scale == 1.0:
             return self
-        B = self.B.copy()
-        B[:, :3, 3] *= scale
-        return replace(self, B=B, pairs=self.pairs.scaled(scale))
+        return replace(self, B=se3.scaled(self.B, scale), pairs=self.pairs.scaled(scale))
 
 
 def _every(count: int, at_most: int) -> int:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
 METHODS = ('auto', 'interpolate', 'nearest')
@@ -73,11 +74,7 @@ class PosePairs:
 
     def scaled(self, scale: float) -> PosePairs:
         """Return the pairs with the positions of b multiplied by ``scale``."""
-        if scale == 1.0:
-            return self
-        poses_b = self.poses_b.copy()
-        poses_b[:, :3, 3] *= scale
-        return replace(self, poses_b=poses_b)
+        return self if scale == 1.0 else replace(self, poses_b=se3.scaled(self.poses_b, scale))
 
     def thinned(self, every: int) -> PosePairs:
         """Return every ``every``-th pair, from the first."""

@@ -178,11 +178,7 @@ class Trajectory:
 
     def scaled(self, scale: float) -> Trajectory:
         """Return the trajectory with its positions multiplied; itself for a scale of one."""
-        if scale == 1.0:
-            return self
-        poses = self.poses.copy()
-        poses[:, :3, 3] *= scale
-        return replace(self, poses=poses)
+        return self if scale == 1.0 else replace(self, poses=se3.scaled(self.poses, scale))
 
     def retimed(self, drift: float, from_ns: int) -> Trajectory:
         """Return the trajectory with the stamps of a clock that runs faster by ``drift`` (s/s).

@@ -60,6 +60,13 @@ def inverse(poses: ArrayLike) -> FloatArray:
     return from_rotation_translation(Rt, -np.einsum('...ij,...j->...i', Rt, T[..., :3, 3]))
 
 
+def scaled(poses: FloatArray, factor: float) -> FloatArray:
+    """Return (..., 4, 4) poses with their translations multiplied."""
+    result = poses.copy()
+    result[..., :3, 3] *= factor
+    return result
+
+
 def quaternion_to_rotation(quaternions_xyzw: ArrayLike) -> FloatArray:
     """Return the (..., 3, 3) rotations of (..., 4) unit quaternions x, y, z, w."""
     q = np.asarray(quaternions_xyzw, dtype=np.float64)

@@ -108,8 +108,7 @@ def accumulate(
     errors = _gaussian(len(steps), walk, walk_rotation, rng) * np.sqrt(length)[:, None]
     if walk or walk_rotation:
         steps = steps @ se3.exp_se3(errors)
-    anchors = poses.copy()
-    anchors[:, :3, 3] *= scale
+    anchors = se3.scaled(poses, scale)
     starts = np.concatenate([[0], closures, [len(poses)]]).astype(int)
     return np.concatenate([
         anchors[start] @ running_product(np.concatenate([np.eye(4)[None], steps[start:end - 1]]))
