@@ -124,15 +124,7 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         The file cannot be written.
 
     """
-    try:
-        _write(path, to_yaml(data), overwrite=overwrite, lasting=True)
-    except FileExistsError:
-        raise
-    except OSError as error:
-        raise ResultError(f'{path} cannot be written: {error.strerror or error}') from error
-    except ValueError as error:
-        # A path without a name, or with a zero byte in it.
-        raise ResultError(f'{str(path)!r} cannot be written: {error}') from error
+    _write(path, to_yaml(data), ResultError, overwrite=overwrite, lasting=True)
 
 
 def make_folder(path: Path, error: type[CalibrationError]) -> None:
@@ -140,7 +132,7 @@ def make_folder(path: Path, error: type[CalibrationError]) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
-        raise error(f'{path} cannot be made: {cause.strerror or cause}') from cause
+        raise error(f'{path} cannot be made: {in_words(cause)}') from cause
 
 
 def write_text(
@@ -148,41 +140,46 @@ def write_text(
 ) -> None:
     """Write over what is at ``path``, whole or not at all, in UTF-8, in a folder that is made."""
     make_folder(path.parent, error)
-    try:
-        _write(path, text)
-    except OSError as cause:
-        raise error(f'{path} cannot be written: {cause.strerror or cause}') from cause
+    _write(path, text, error)
 
 
 def _write(
-    path: Path, data: str | bytes, *, overwrite: bool = True, lasting: bool = False,
+    path: Path, data: str | bytes, error: type[CalibrationError], *, overwrite: bool = True,
+    lasting: bool = False,
 ) -> None:
     """Write a file through a temporary one in the same folder and a rename.
 
     Of a link, the file that it names; a device or a pipe takes the bytes as they are. ``lasting``
-    waits for the disk: what can be made again need not. Raises OSError and ValueError.
+    waits for the disk: what can be made again need not. Raises ``error`` and FileExistsError.
     """
     if isinstance(data, str):
         # The name of a file need be no UTF-8, and stands on a page.
         data = data.encode(errors='backslashreplace')
-    if overwrite:
-        if path.exists() and not path.is_file() and not path.is_dir():
-            path.write_bytes(data)
-            return
-        # Not before: /dev/stdout is a link to what has no name.
-        path = path.resolve() if path.is_symlink() else path
-    temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
-    # Not through ``tempfile``, whose files are private: the kernel gives this one the
-    # permissions of any new file of this user.
-    with temporary.open('xb') as stream:
-        try:
-            if overwrite or not os.path.lexists(path):
+    try:
+        if overwrite:
+            if path.exists() and not path.is_file() and not path.is_dir():
+                path.write_bytes(data)
+                return
+            # Not before: /dev/stdout is a link to what has no name.
+            path = path.resolve() if path.is_symlink() else path
+        temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
+        # Not through ``tempfile``, whose files are private: the kernel gives this one the
+        # permissions of any new file of this user.
+        with temporary.open('xb') as stream:
+            try:
+                if not overwrite and os.path.lexists(path):
+                    raise FileExistsError(path)
                 stream.write(data)
                 stream.flush()
                 if lasting:
                     os.fsync(stream.fileno())
                 temporary.replace(path)
-                return
-        finally:
-            temporary.unlink(missing_ok=True)
-    raise FileExistsError(path)
+            finally:
+                temporary.unlink(missing_ok=True)
+    except FileExistsError:
+        raise
+    except OSError as cause:
+        raise error(f'{path} cannot be written: {in_words(cause)}') from cause
+    except ValueError as cause:
+        # A path without a name, or with a zero byte in it.
+        raise error(f'{str(path)!r} cannot be written: {cause}') from cause

@@ -122,20 +122,13 @@ def _expand(pattern: str) -> list[str]:
 
 
 def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfig) -> Job:
-    if a is None or b is None:
-        raise ConfigError(
-            f'{path}: the sensors are not named; give --a and --b: topics of a bag, or names of '
-            'files in a folder')
-    if a == b:
-        raise ConfigError(f'A and B are both {a}; needed two sensors')
-    folder = Path(path)
-    if folder.is_dir() and not any(
-            item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
-            for item in folder.iterdir()):
-        if not (folder / a).exists() and any((item / a).exists() for item in folder.iterdir()):
-            raise ConfigError(f"{path} holds one folder for each recording; give '{path}/*'")
-        return Job('', str(folder / a), str(folder / b), (), config)
-    return Job('', a, b, (path,), config)
+    folder, given = Path(path), {'a': a, 'b': b, 'config': config}
+    if not folder.is_dir() or any(item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
+                                  for item in folder.iterdir()):
+        return _from_mapping(Path(), {**given, 'bag': path})
+    if a and not (folder / a).exists() and any((item / a).exists() for item in folder.iterdir()):
+        raise ConfigError(f"{path} holds one folder for each recording; give '{path}/*'")
+    return _from_mapping(folder, given)
 
 
 def _from_yaml(
@@ -179,10 +172,12 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     bags = given.get('bag') or []
     bags = [str(folder / bag) for bag in ([bags] if isinstance(bags, str) else bags) if bag]
     a, b = given['a'], given['b']
+    where = given.get('name') or ' '.join(bags) or folder
     if a is None or b is None:
-        raise ConfigError(f'job {bags or dict(given)}: a and b are not named')
+        raise ConfigError(f'{where}: a and b are not named; give --a and --b, topics of a bag or '
+                          'names of files in a folder')
     if a == b:
-        raise ConfigError(f'job {bags or dict(given)}: A and B are both {a}; needed two sensors')
+        raise ConfigError(f'{where}: A and B are both {a}; needed two sensors')
     if not bags:
         a, b = (str(folder / name) for name in (a, b))
     options = [InputOptions(**{
