@@ -67,17 +67,10 @@ def require(module: str) -> ModuleType:
 
 def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
     """Return the named error for an import that found no package."""
-    package = pip_name(error)
-    return MissingPackageError(f'{package} is not installed; pip install {package}')
-
-
-def pip_name(error: ModuleNotFoundError) -> str:
-    """Return the name by which pip installs what an import did not find.
-
-    A module of this package that is missing is a broken installation of it.
-    """
+    # A module of this package that is missing is a broken installation of it.
     name = str(error.name).partition('.')[0]
-    return _SHARED.get(name, name)
+    package = _SHARED.get(name, name)
+    return MissingPackageError(f'{package} is not installed; pip install {package}')
 
 
 def in_words(error: Exception) -> str:

@@ -477,7 +477,8 @@ def test_a_contradicting_sensor_is_named_on_screen_and_page(tmp_path, capsys):
     ('sensors:\n  a: {file: x, topic: /y}\n  b: {file: y}\n', 'sensor a has file and topic'),
     ('sensors:\n  a: {}\n  b: {file: y}\n', 'sensor a has no source'),
     ('sensors:\n  a: x\n  b: {file: y}\n', "sensor a is 'x'"),
-    ('sensors:\n  a: {file: x, invert: 1}\n  b: {file: y}\n', 'invert of sensor a is 1'),
+    ('sensors:\n  a: {file: x, invert: 1}\n  b: {file: y}\n', 'sensor a: invert is 1'),
+    ('sensors:\n  a: {file: x, columns: [1]}\n  b: {file: y}\n', 'sensor a: columns is [1]'),
     ('sensors:\n  a: {file: x}\n  b: {file: y}\nsettings: {solvr: dnl}\n', "'solvr' is unknown"),
     ('sensors:\n  a: {file: x}\n  b: {file: x}\n', 'given twice'),
 ])

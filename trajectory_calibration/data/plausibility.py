@@ -47,18 +47,13 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     step = trajectory.usual_step_ns * 1e-9
     if len(trajectory) < _CAPTURES or _SHORTEST_STEP <= step <= _LONGEST_STEP:
         return ()
-    if step < _SHORTEST_STEP:
-        return (Finding(
-            'time-unit',
-            f'{trajectory.sensor_frame}: the median step between its poses is {step:.2g} s: are '
-            'its times in days? Then multiply them by 86400', {'median_step_s': step}),)
     unit, divisor = next(
         (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
+    question = ('days? Then multiply them by 86400' if step < _SHORTEST_STEP else
+                f'{unit}? Then divide them by {divisor}; --time-unit reads them')
     return (Finding(
-        'time-unit',
-        f'{trajectory.sensor_frame}: the median step between its poses is {step:.6g} s: are its '
-        f'times in {unit}? Then divide them by {divisor}; --time-unit reads them',
-        {'median_step_s': step}),)
+        'time-unit', f'{trajectory.sensor_frame}: the median step between its poses is '
+        f'{step:.6g} s: are its times in {question}', {'median_step_s': step}),)
 
 
 def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:

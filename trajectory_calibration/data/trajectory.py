@@ -318,28 +318,23 @@ def _checked_stamps(
             raise TrajectoryError(
                 f'the stamps reach over {span / (365.25 * 86400e9):.0f} years, needed less than '
                 '292; remove the strays, or is the unit nanoseconds?')
-    later, earlier = stamps_ns[1:], stamps_ns[:-1]
-    if np.all(later > earlier):
+    if np.all(stamps_ns[1:] > stamps_ns[:-1]):
         return stamps_ns, slice(None), []
-    run = longest_run(stamps_ns)
-    if run != slice(None):
-        stamps_ns, order, notes = _checked_stamps(stamps_ns[run])
-        dropped = counted(len(array) - (run.stop - run.start), 'pose')
-        note = (f'dropped {dropped}: time began anew (two recordings in one?), and the longest '
-                'part stays')
-        return array.astype(np.int64), np.arange(len(array))[run][order], [note, *notes]
-    notes = []
-    backwards = int(np.count_nonzero(later < earlier))
+    run, notes = longest_run(stamps_ns), []
+    part = stamps_ns[run]
+    if len(part) < len(stamps_ns):
+        notes.append(f'dropped {counted(len(stamps_ns) - len(part), "pose")}: time began anew '
+                     '(two recordings in one?), and the longest part stays')
+    backwards = int(np.count_nonzero(part[1:] < part[:-1]))
     if backwards:
         notes.append('sorted the poses by stamp: time ran backwards in '
                      f'{counted(backwards, "place")}')
-    order = np.argsort(stamps_ns, kind='stable')
-    ordered = stamps_ns[order]
-    first = np.concatenate([[True], ordered[1:] > ordered[:-1]])
+    order = np.argsort(part, kind='stable')
+    first = np.append(True, np.diff(part[order]) > 0)
     duplicates = int(np.count_nonzero(~first))
     if duplicates:
         notes.append(f'dropped {counted(duplicates, "pose")} with the stamp of another')
-    return stamps_ns, order[first], notes
+    return stamps_ns, np.arange(len(stamps_ns))[run][order[first]], notes
 
 
 def _repair_rotations(poses: FloatArray) -> list[str]:

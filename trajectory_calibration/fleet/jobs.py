@@ -34,13 +34,9 @@ from trajectory_calibration.sources.storage import as_counted
 from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
 
-_OPTIONS = tuple(item.name for item in fields(InputOptions))
-
-# What one job may say, and all of them together beside the list of jobs.
-_KEYS = ('a', 'b', 'bag', 'name', 'config',
-         *(f'{name}_{sensor}' for name in _OPTIONS for sensor in 'ab'))
-
-_KINDS = {dict: 'settings by name', bool: 'true or false', str: 'a text'}
+# What one job may say, and all of them together beside the list of jobs; how to read a and b.
+_OF_JOB = ('a', 'b', 'bag', 'name', 'config')
+_KEYS = (*_OF_JOB, *(f'{item.name}_{sensor}' for item in fields(InputOptions) for sensor in 'ab'))
 
 
 @dataclass(frozen=True)
@@ -144,12 +140,8 @@ def _from_yaml(
         given = item if isinstance(item, Mapping) else {'bag': item}
         merged = {**common, **given}
         _check(merged, path)
-        settings = {**config.to_dict(), **(common.get('config') or {}),
-                    **(given.get('config') or {})}
-        if any(not isinstance(name, str) for name in settings):
-            raise ConfigError(
-                f'{path}: a setting has no name; needed lines such as "max_gap: 0.5"')
-        merged['config'] = CalibrationConfig.from_dict(settings)
+        merged['config'] = CalibrationConfig.from_dict({
+            **config.to_dict(), **(common.get('config') or {}), **(given.get('config') or {})})
         jobs.append(_from_mapping(path.parent, merged))
     return jobs
 
@@ -159,13 +151,11 @@ def _check(given: Mapping[Any, Any], path: Path) -> None:
     for key, value in given.items():
         if key not in _KEYS:
             raise ConfigError(unknown_name(f'{path}: key', key, _KEYS))
-        texts = value if key == 'bag' and isinstance(value, list) else [value]
-        kind: type = dict if key == 'config' else bool if key.startswith('invert') else str
-        for text in texts:
-            zero = kind is str and isinstance(text, str) and '\0' in text
-            if zero or not (text is None or isinstance(text, kind)):
-                raise ConfigError(
-                    f'{path}: {key} is {value!r}, needed {_KINDS[kind]}')
+        kind, needed = (Mapping, 'settings by name') if key == 'config' else (str, 'a text')
+        for item in value if key == 'bag' and isinstance(value, list) else [value]:
+            if key in _OF_JOB and item is not None and (
+                    not isinstance(item, kind) or '\0' in item):
+                raise ConfigError(f'{path}: {key} is {value!r}, needed {needed}')
 
 
 def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
@@ -180,10 +170,8 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
         raise ConfigError(f'{where}: A and B are both {a}; needed two sensors')
     if not bags:
         a, b = (str(folder / name) for name in (a, b))
-    options = [InputOptions(**{
-        option: folder / value if option == 'times' else value for option in _OPTIONS
-        if (value := given.get(f'{option}_{sensor}')) is not None}) for sensor in 'ab']
-    return Job(given.get('name') or '', a, b, tuple(bags), given['config'], *options)
+    return Job(given.get('name') or '', a, b, tuple(bags), given['config'], *(
+        InputOptions.from_dict(given, folder, f'_{sensor}') for sensor in 'ab'))
 
 
 def _names(jobs: Sequence[Job]) -> list[str]:

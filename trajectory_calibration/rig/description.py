@@ -93,10 +93,7 @@ def _input(name: str, values: Mapping[str, Any], folder: Path) -> tuple[str, Inp
         source = str(folder / source)
     elif given[0] == 'tf' and not source.startswith(TF_PREFIX):
         source = f'{TF_PREFIX}{source}'
-    options = {key: values[key] for key in _READING if values.get(key) is not None}
-    if 'times' in options:
-        options['times'] = folder / str(options['times'])
-    if not isinstance(options.get('invert', False), bool):
-        raise ConfigError(f'invert of sensor {name} is {options["invert"]!r}, needed true or '
-                          'false')
-    return source, InputOptions(**options)
+    try:
+        return source, InputOptions.from_dict(values, folder)
+    except ConfigError as error:
+        raise ConfigError(f'sensor {name}: {error}') from error

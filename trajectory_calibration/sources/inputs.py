@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 import os
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,29 @@ class InputOptions:
     columns: str | None = None
     quaternion_order: str | None = None
     time_unit: str | None = None
+
+    @classmethod
+    def from_dict(
+        cls, values: Mapping[str, Any], folder: Path, suffix: str = '',
+    ) -> InputOptions:
+        """Build options from plain data; names have the suffix, and paths begin in the folder.
+
+        Other keys are left alone. Raises ConfigError for a value of the wrong kind.
+        """
+        options: dict[str, Any] = {}
+        for item in fields(cls):
+            name, is_switch = f'{item.name}{suffix}', item.name == 'invert'
+            value = values.get(name)
+            if value is None:
+                continue
+            # A number may be a name: YAML makes one of 5.
+            if (not isinstance(value, (str, int, float)) or '\0' in str(value)
+                    or isinstance(value, bool) != is_switch):
+                raise ConfigError(f'{name} is {value!r}, needed '
+                                  f'{"true or false" if is_switch else "a text"}')
+            options[item.name] = (value if is_switch else
+                                  folder / str(value) if item.name == 'times' else str(value))
+        return cls(**options)
 
     def inverted(self, trajectory: Trajectory) -> Trajectory:
         """Return the poses of the sensor in the world, whichever of both was read."""
