@@ -148,7 +148,7 @@ def test_error_bars_of_quarters_are_honest_and_knowledge_grows():
     result = calibrate(pair.a, pair.b, CalibrationConfig(time_offset_mode='fixed'))
     parts = report_data(result, pair.a, pair.b).parts
     # Measured over five seeds: root mean square 0.8 to 1.3 by direction, none beyond 3.
-    z = parts.quarters / parts.quarter_std
+    z = parts.values[:4] / parts.std[:4]
     assert z.shape == (4, 6)
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.7
     assert np.mean(np.abs(z) < 3) > 0.9
@@ -249,8 +249,8 @@ def test_hashing_says_how_far_it_is(tmp_path):
 
 @pytest.mark.parametrize('metres', [0.03, 0.43, 0.499, 1.0, 4.2, 87.0, 499.0])
 def test_a_scale_bar_has_a_length_and_fits(metres):
-    scene = Scene('', 300.0, 200.0, np.zeros(2), pixels=90.0 / metres)
+    scene = Scene(300.0, 200.0, np.zeros(2), pixels=90.0 / metres)
     scene.scale_bar()
-    drawn = scene.svg()
+    drawn = scene.svg('')
     length, unit = re.search(r'>([\d.]+) (m|mm)<', drawn).groups()
     assert metres / 2.51 <= float(length) * (1 if unit == 'm' else 1e-3) <= 1.001 * metres

@@ -114,8 +114,7 @@ class Row:
         least = 3 if self.unit == 'm' else 2
         if self.std is None or not self.std > 0:
             return least + 1
-        return next((digits for digits in range(least, least + 3)
-                     if self.std >= 10.0 ** (1 - digits) * 0.995), least + 3)
+        return int(np.clip(1 - np.floor(np.log10(self.std / 0.995)), least, least + 3))
 
     def __str__(self) -> str:
         """Return '0.209 +- 0.063', or 'unknown'."""
@@ -164,12 +163,17 @@ def pose_rows(
 def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
     """Return how far a (4, 4) pose is from the truth, without what is unobserved of it."""
     unobserved = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
-    step = np.where(unobserved, 0.0, TO_DEGREES * se3.step_between(T_true, T))
-    words = ', '.join(
-        'unknown' if unobserved[part].all() else f'{np.linalg.norm(step[part]):.{digits}f} {unit}'
-        for part, digits, unit in ((slice(0, 3), 4, 'm'), (slice(3, 6), 3, 'deg')))
+    t, R = sizes(np.where(unobserved, 0.0, se3.step_between(T_true, T)))
+    words = ', '.join('unknown' if unobserved[part].all() else text for part, text in (
+        (slice(0, 3), f'{t:.4f} m'), (slice(3, 6), f'{R:.3f} deg')))
     left_out = ', '.join(np.array(DEGREES_OF_FREEDOM)[unobserved])
     return f'{words} (without {left_out})' if left_out else words
+
+
+def sizes(step: FloatArray) -> tuple[float, float]:
+    """Return the lengths, metres and degrees, of a (6,) step; NaN counts as none."""
+    t, R = np.sqrt(np.nansum(np.reshape(TO_DEGREES * step, (2, 3)) ** 2, axis=1))
+    return float(t), float(R)
 
 
 def status_sentence(rows: tuple[Row, ...]) -> str:
@@ -201,27 +205,19 @@ def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Ver
     rows = rows or answer_rows(result)
     worst = min((row.status for row in rows), key=_WORST_FIRST.index)
     sentence = status_sentence(rows)
-    # The name of an axis has no capital.
-    if sentence[1] not in ', ':
-        sentence = sentence[0].upper() + sentence[1:]
     # Those of directions have a mark of their own.
     serious = [found.text for found in result.findings
                if found.level == SERIOUS and not found.code.startswith('direction-')]
-    if worst == UNOBSERVED:
-        return Verdict(INCOMPLETE, sentence, _advice(result, 'direction-unobserved'))
-    if serious:
+    if serious and worst != UNOBSERVED:
         return Verdict(CARE, f'{sentence}, but check the data first', serious[0])
-    if worst == WEAK:
-        return Verdict(CARE, sentence, _advice(result, 'direction-weak'))
+    if worst in (UNOBSERVED, WEAK):
+        advice = '; '.join(found.text for found in result.findings
+                           if found.code == f'direction-{worst}')
+        return Verdict(INCOMPLETE if worst == UNOBSERVED else CARE, sentence,
+                       advice or 'drive curves, and a ramp or a bank')
     return Verdict(
         GOOD, sentence, 'Copy the transform below. Check it on another drive: '
         'trajectory_calibration verify result.yaml A B')
-
-
-def _advice(result: CalibrationResult, code: str) -> str:
-    """Return what the findings say of the directions of this kind, and what to do."""
-    texts = [found.text for found in result.findings if found.code == code]
-    return '; '.join(texts) or 'drive curves, and a ramp or a bank'
 
 
 def fixed(value: float, digits: int) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.fleet.comparison import Comparison, Entry, row
-from trajectory_calibration.outputs.answer import answer_rows, NAMES, TO_DEGREES
+from trajectory_calibration.outputs.answer import answer_rows, NAMES, sizes, TO_DEGREES
 from trajectory_calibration.rig.comparison import Change, RigComparison
 
 _UNITS = {'z': ' [m]', 'yaw': ' [deg]'}
@@ -78,10 +78,7 @@ def rig_to_text(found: RigComparison) -> str:
     lines = [str(found), '', (f'  in {found.base:<11}{"moved by, mm":>18}{"deg":>18}'
                               f'{"chi-squared":>16}  verdict')]
     for item in found.sensors:
-        # The lengths of what is known.
-        (t, R), (s_t, s_R) = (
-            np.sqrt(np.nansum(np.reshape(TO_DEGREES * values, (2, 3)) ** 2, axis=1))
-            for values in (item.step, item.std))
+        (t, R), (s_t, s_R) = sizes(item.step), sizes(item.std)
         unknown = ', '.join(np.array(DEGREES_OF_FREEDOM)[np.isnan(item.std)])
         lines.append(f'  {item.sensor:<14}{f"{1e3 * t:.1f} +- {1e3 * s_t:.1f}":>18}'
                      f'{f"{R:.3f} +- {s_R:.3f}":>18}'

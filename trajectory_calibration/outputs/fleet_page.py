@@ -79,7 +79,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str
         known = np.flatnonzero([item != UNOBSERVED for item in status]).tolist()
         reach = _BAR * std[known, k]
         plot = Plot((-0.1, 1.1), limits(values[known, k] - reach, values[known, k] + reach),
-                    name=name, y_label=unit, x_ticks=[(0, dates[0]), (1, dates[1])])
+                    y_label=unit, x_ticks=[(0, dates[0]), (1, dates[1])])
         reading = []
         for n, (left, right) in enumerate(pairwise(edges) if known else ()):
             mean, bar = means[n, k], _BAR * mean_std[n][k]
@@ -116,5 +116,4 @@ def _row(entry: Entry) -> tuple[str, ...]:
     name, date, *numbers, last = cells_of(entry)
     if entry.result is None:
         return (name, date, *[''] * 7, last)
-    return (name, date, *(value.replace('+-', '±') for value in numbers),
-            f'{entry.result.metrics.e_rt:.3f}', last)
+    return (name, date, *numbers, f'{entry.result.metrics.e_rt:.3f}', last)

@@ -8,8 +8,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from io import BytesIO
 from pathlib import Path
+import re
 from typing import Any, TYPE_CHECKING
 
 import numpy as np
@@ -18,10 +20,11 @@ from trajectory_calibration.config.yaml_file import write_text
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import require
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows
+from trajectory_calibration.outputs.answer import answer_rows, WORDS
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.figures import Plot
+from trajectory_calibration.outputs.report.page import asset
 from trajectory_calibration.result import CalibrationResult
 
 if TYPE_CHECKING:
@@ -29,16 +32,13 @@ if TYPE_CHECKING:
 
 FORMATS = ('png', 'svg', 'pdf')
 
-_A, _B, _SOFT = '#1769aa', '#c4570a', '#7a828a'
 # Colour, width and dashes of the classes of the style sheet that are no plain line of a.
 _STYLES = {
-    'line-b wide': (_B, 2.4, '-'), 'line-thin': (_A, 0.6, '-'), 'line-x': ('#c0392b', 1.2, '-'),
-    'line-y': ('#2e8b57', 1.2, '--'), 'line-z': ('#2c6fbb', 1.2, ':'),
-    'jump': ('#c2185b', 1.0, '-'), 'need': (_SOFT, 0.8, '--'), 'zero': (_SOFT, 0.8, '-'),
-    'far': ('#b3261e', 1.0, '-'), 'fill-weak': ('#96600a', 1.0, '-')}
-_LABELS = {f'line-{axis}': axis for axis in 'xyz'}
+    'line-b wide': ('b', 2.4, '-'), 'line-thin': ('a', 0.6, '-'), 'line-x': ('x', 1.2, '-'),
+    'line-y': ('y', 1.2, '--'), 'line-z': ('z', 1.2, ':'), 'jump': ('jump', 1.0, '-'),
+    'need': ('soft', 0.8, '--'), 'zero': ('soft', 0.8, '-'), 'far': ('unknown', 1.0, '-'),
+    **{f'fill-{word}': (word, 1.0, '-') for word in WORDS.values()}}
 _ANCHORS = {'start': 'left', 'middle': 'center', 'end': 'right'}
-_STATUS = {'ok': '#1b7a48', 'weak': '#96600a', 'unknown': '#b3261e', 'prior': '#6a4bb4'}
 
 
 def plot(
@@ -70,63 +70,66 @@ def plot_files(folder: Path) -> list[Path]:
     return [folder / f'{name}.{kind}' for name in _FIGURES for kind in FORMATS]
 
 
-def _figure(width: float, height: float, title: str) -> Figure:
+def _drawn(result: CalibrationResult, plots: dict[str, Plot | None], more: str = '') -> Figure:
+    """Return a figure of plots with their titles; None makes axes in three dimensions."""
+    columns = min(3, len(plots))
+    rows = -(-len(plots) // columns)
     figure: Figure = require('matplotlib.figure').Figure(
-        figsize=(width, height), layout='constrained')
-    figure.suptitle(title, fontsize=11, fontweight='bold')
+        figsize=(3.5 * columns, 3 * rows), layout='constrained')
+    figure.suptitle(f'Pose of {result.frame_b} in {result.frame_a}{more}', fontsize=11,
+                    fontweight='bold')
+    for k, (title, plot) in enumerate(plots.items(), 1):
+        axes = figure.add_subplot(rows, columns, k, projection=None if plot else '3d')
+        axes.set_title(title, fontsize=9, loc='left')
+        if plot is not None:
+            _copy(plot, axes)
     return figure
-
-
-def _title(result: CalibrationResult) -> str:
-    return f'Pose of {result.frame_b} in {result.frame_a}'
-
-
-def _plain(axes: Any, title: str, x: str, y: str) -> None:
-    axes.set_title(title, fontsize=9, loc='left')
-    axes.set_xlabel(x, fontsize=8)
-    axes.set_ylabel(y, fontsize=8)
-    axes.tick_params(labelsize=8)
-    axes.spines[['top', 'right']].set_visible(False)
 
 
 def _deviations(result: CalibrationResult) -> Figure:
-    """Draw the standard deviation of each number beside its two limits."""
-    figure = _figure(6.4, 2.8, _title(result))
+    """Draw the standard deviation of each number, with its two limits."""
     rows = answer_rows(result)
-    for column, part in enumerate((rows[:3], rows[3:])):
-        axes = figure.add_subplot(1, 2, column + 1)
+    plots: dict[str, Plot | None] = {}
+    for title, part in (('translation', rows[:3]), ('rotation', rows[3:])):
         weak, unobserved = part[0].weak_limit, part[0].unobserved_limit
+        plots[title] = plot = Plot(
+            (-0.6, 2.6), (weak / 100, unobserved * 5), log_y=True,
+            y_label=f'standard deviation, {part[0].unit}', x_ticks=[
+                (k, f'{row.name}\n{row.value_text}\n{row.std_text and row.word}')
+                for k, row in enumerate(part)])
         for k, row in enumerate(part):
             std = row.std if row.is_known and row.std is not None else unobserved
-            std = np.clip(std, weak / 90, unobserved * 3)
-            axes.barh(2 - k, std, color=_STATUS[row.word], height=0.5)
-            words = f' {row.value:.3f} {row.unit}, {row.word}' if row.is_known else ' unknown'
-            axes.text(std, 2 - k, words, va='center', fontsize=8)
+            plot.rectangle((k - 0.3, k + 0.3), (weak / 100, np.clip(
+                std, weak / 90, unobserved * 3)), f'fill-{row.word}')
         for limit in (weak, unobserved):
-            axes.axvline(limit, color=_SOFT, lw=0.8, ls='--')
-        axes.set(xscale='log', xlim=(weak / 100, unobserved * 30))
-        axes.set_yticks([2, 1, 0], [row.name for row in part])
-        _plain(axes, '', f'standard deviation, {part[0].unit}', '')
-    return figure
+            plot.horizontal(limit, 'need')
+    return _drawn(result, plots)
 
 
 def _overview(data: ReportData) -> Figure:
-    figure = _figure(11, 6.4, _title(data.result))
-    axes: Any = figure.add_subplot(2, 3, 1, projection='3d')
-    for poses, colour, name in ((data.tracks.poses_c, _B, data.result.frame_b),
-                                (data.tracks.pairs.poses_a, _A, data.result.frame_a)):
-        axes.plot(*poses[:, :3, 3].T, color=colour, lw=1.0, label=name)
+    result, clocks = data.result, data.clocks
+    figure = _drawn(result, {
+        'both tracks, m': None,
+        'distance between the tracks, m': draw.apart_over_time(data),
+        'rotation by axis': draw.rotation_by_axis(data),
+        'standard deviation against driving time': draw.deviation_over_time(data, rotation=False),
+        'angular rates': draw.rates(clocks),
+        **({'agreement by clock offset': draw.offset_curve(clocks)} if len(clocks.offsets_s)
+           else {})})
+    axes: Any = figure.axes[0]
+    for poses, name, frame in ((data.tracks.poses_c, 'b', result.frame_b),
+                               (data.tracks.pairs.poses_a, 'a', result.frame_a)):
+        axes.plot(*poses[:, :3, 3].T, color=_colours()[name], lw=1.0, label=frame)
     axes.set_aspect('equal', adjustable='datalim')
-    axes.set_title('both tracks, m', fontsize=9, loc='left')
     axes.tick_params(labelsize=7)
     axes.legend(fontsize=8, frameon=False)
-    plots = [draw.distance_over_time(data), draw.rotation_by_axis(data),
-             draw.deviation_over_time(data, rotation=False), draw.rates(data.clocks)]
-    if len(data.clocks.offsets_s):
-        plots.append(draw.offset_curve(data.clocks))
-    for k, item in enumerate(plots, 2):
-        _copy(item, figure.add_subplot(2, 3, k))
     return figure
+
+
+@cache
+def _colours() -> dict[str, str]:
+    """Return the colours of the page on light paper, by name."""
+    return dict(re.findall(r'--(\w+):(#\w+)', asset('page.css').partition('@media')[0]))
 
 
 def _copy(plot: Plot, axes: Any) -> None:
@@ -137,9 +140,13 @@ def _copy(plot: Plot, axes: Any) -> None:
     for given, put in ((plot.x_ticks, axes.set_xticks), (plot.y_ticks, axes.set_yticks)):
         if given is not None:
             put([value for value, _ in given], [words for _, words in given])
-    _plain(axes, plot.name, plot.x_label, plot.y_label)
+    axes.set_xlabel(plot.x_label, fontsize=8)
+    axes.set_ylabel(plot.y_label, fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.spines[['top', 'right']].set_visible(False)
     for mark in plot.marks:
-        colour, width, dashes = _STYLES.get(mark.style.removesuffix(' bar'), (_A, 1.0, '-'))
+        name, width, dashes = _STYLES.get(mark.style.removesuffix(' bar'), ('a', 1.0, '-'))
+        colour = _colours()[name]
         if mark.kind == 'words':
             x, y = mark.shift
             axes.annotate(mark.words, (mark.x[0], mark.y[0]), (x, -y), fontsize=7,
@@ -151,25 +158,18 @@ def _copy(plot: Plot, axes: Any) -> None:
             axes.plot(mark.x, mark.y, 'o', ms=mark.size, color=colour)
         else:
             axes.plot(mark.x, mark.y, color=colour, lw=width, ls=dashes,
-                      label=_LABELS.get(mark.style))
-    if any(mark.style in _LABELS for mark in plot.marks):
+                      label=name if name in 'xyz' else None)
+    if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False)
-
-
-def _of_each(
-    plot_of: Callable[[ReportData, int], Plot], title: str,
-) -> Callable[[ReportData], Figure]:
-    """Return the function that draws a plot of each of the six numbers."""
-    def drawn(data: ReportData) -> Figure:
-        figure = _figure(10, 5, f'{_title(data.result)}: {title}')
-        for k in range(6):
-            _copy(plot_of(data, k), figure.add_subplot(2, 3, k + 1))
-        return figure
-    return drawn
 
 
 # Name of the file -> function of the data.
 _FIGURES: dict[str, Callable[[ReportData], Figure]] = {
-    'overview': _overview, 'deviations': lambda data: _deviations(data.result),
-    'parts': _of_each(draw.part_plot, 'parts of the data, minus the answer'),
-    'residuals': _of_each(draw.residual_over_time, 'residuals')}
+    'overview': _overview,
+    'deviations': lambda data: _deviations(data.result),
+    'parts': lambda data: _drawn(
+        data.result, {name: draw.part_plot(data, k) for k, name in enumerate(draw.AXES)},
+        ': parts of the data, minus the answer'),
+    'residuals': lambda data: _drawn(
+        data.result, {name: draw.residual_over_time(data, k) for k, name in enumerate(draw.AXES)},
+        ': residuals')}

@@ -85,6 +85,14 @@ def scale_text(sensor: SensorAnswer) -> str:
     return '1' if sensor.scale == 1.0 else f'{sensor.scale:.4f} +- {sensor.scale_std:.4f}'
 
 
+def noise_texts(sensor: SensorAnswer) -> list[str]:
+    """Return the noise of a pose, mm and deg, and its drift after 1 m; '' where not known."""
+    noise = sensor.noise
+    return [''] * 4 if noise is None else [f'{value:.2g}' for value in (
+        1e3 * noise.white_m, np.rad2deg(noise.white_rad),
+        1e3 * noise.drift_m, np.rad2deg(noise.drift_rad))]
+
+
 def _row(rig: RigResult, sensor: SensorAnswer, terminal: Terminal) -> str:
     cells = [terminal.paint(f'{row} {_MARKS[row.word]}'.rstrip().rjust(20), row.word)
              for row in sensor_rows(rig, sensor)]
@@ -98,11 +106,8 @@ def _second_table(rig: RigResult, terminal: Terminal) -> list[str]:
         '', 'clock offset, ms', 'scale', 'noise, mm', 'deg', 'drift, mm/sqrt m', 'deg/sqrt m'),
         'soft')]
     for sensor in rig.sensors.values():
-        noise = sensor.noise
-        of_noise = [''] * 4 if noise is None else [f'{value:.2g}' for value in (
-            1e3 * noise.white_m, np.rad2deg(noise.white_rad),
-            1e3 * noise.drift_m, np.rad2deg(noise.drift_rad))]
         clock = '-' if sensor.name == sensor.base else clock_text(sensor)
-        lines.append(form.format(sensor.name, clock, scale_text(sensor), *of_noise).rstrip())
+        lines.append(form.format(
+            sensor.name, clock, scale_text(sensor), *noise_texts(sensor)).rstrip())
     return [*lines, terminal.paint('  clock offset: added to the stamps; noise: of each pose; '
                                    'drift: random walk, after 1 m', 'soft')]

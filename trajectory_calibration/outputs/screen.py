@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import deviations_of
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.errors import counted, in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row
+from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row, TO_DEGREES
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNOBSERVED_STD
-
-_KNOWN = 0.5 * UNOBSERVED_STD
 
 # Findings that are shown without -v.
 _MOST_FINDINGS = 3
@@ -140,12 +139,10 @@ def details(result: CalibrationResult) -> dict[str, str]:
 
 def reference_words(reference: str) -> str:
     """Return what the motions of a reference are over: 'of 5 poses'."""
-    letter, count = reference[:1], reference[1:]
-    if letter == 'B':
-        return f'of {count} poses' if count != '1' else 'from pose to pose'
-    if letter == 'C':
-        return f'from the first of each {count} poses'
-    return 'from the first pose'
+    if reference == 'B1':
+        return 'from pose to pose'
+    return {'B': f'of {reference[1:]} poses', 'C': f'from the first of each {reference[1:]} poses',
+            }.get(reference[:1], 'from the first pose')
 
 
 def deviation_words(covariance: FloatArray) -> list[str]:
@@ -154,12 +151,10 @@ def deviation_words(covariance: FloatArray) -> list[str]:
     From half of what stands for a direction of which nothing is known on, the number says no
     more than 'unknown'.
     """
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    words = [fixed(value, 4) for value in sigma[:3]]
-    words += [fixed(value, 3) for value in np.rad2deg(sigma[3:])]
     # Written so that NaN is unknown.
-    known = sigma < _KNOWN
-    return [word if is_known else 'unknown' for word, is_known in zip(words, known, strict=True)]
+    return [fixed(value, 3 if k >= 3 else 4) if value < limit else 'unknown'
+            for k, (value, limit) in enumerate(zip(
+                deviations_of(covariance), 0.5 * TO_DEGREES * UNOBSERVED_STD, strict=True))]
 
 
 def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -> str:

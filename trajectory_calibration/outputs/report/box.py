@@ -12,10 +12,15 @@ from trajectory_calibration.errors import CalibrationError, in_sigmas
 from trajectory_calibration.outputs.answer import judge, Row, TITLES
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.placement import Placement
-from trajectory_calibration.outputs.report.page import filled, FORMATS, next_step, verdict_section
+from trajectory_calibration.outputs.report.figures import Canvas
+from trajectory_calibration.outputs.report.page import filled, next_step, sentence, verdict_section
 from trajectory_calibration.outputs.screen import details
 from trajectory_calibration.result import CalibrationResult
 
+# Formats to copy, and what stands on their tabs.
+_FORMATS = {
+    'urdf': 'URDF', 'static-tf': 'static transform', 'autoware': 'Autoware', 'kalibr': 'Kalibr',
+    'matrix': '4 × 4', 'tum': 'TUM', 'yaml': 'YAML'}
 _MARKS = {'ok': '●', 'weak': '◐', 'unknown': '○', 'prior': '◆'}
 # Decades of the gauge below and above the limit of 'weak'.
 _BELOW, _ABOVE = 2.0, 1.5
@@ -36,12 +41,11 @@ def verdict_box(result: CalibrationResult, rows: tuple[Row, ...], driven: str = 
     has_truth = rows[0].error is not None
     names = ', '.join(row.name for row in rows if _is_far(row))
     inside = filled(
-        'box.html', a=a, b=b, sentence=escape(verdict.sentence),
+        'box.html', a=a, b=b, sentence=escape(sentence(verdict.sentence)),
         far=f' <span class="unknown">Error beyond {_FAR:g} σ in {names}: does the ground '
         'truth belong to these frames?</span>' if names else '',
         with_truth=' with-truth' if has_truth else '',
-        error='<th scope="col" class="num">error</th><th scope="col" class="num">in σ</th>'
-        if has_truth else '',
+        error='<th class="num">error</th><th class="num">in σ</th>' if has_truth else '',
         rows=''.join(_row(row, with_error=has_truth) for row in rows),
         weak_translation=f'{config.weak_translation:g}',
         weak_rotation=f'{config.weak_rotation:g}', next=next_step(verdict.next_step),
@@ -83,20 +87,17 @@ def _row(row: Row, *, with_error: bool) -> str:
 
 def _gauge(row: Row) -> str:
     """Return a bar as long as the logarithm of the deviation, with the two limits as ticks."""
-    limit = max(row.weak_limit, 1e-9)
-
-    def place(value: float) -> float:
-        share = (np.log10(max(value, 1e-12) / limit) + _BELOW) / (_BELOW + _ABOVE)
-        return float(np.clip(share, 0.02, 1.0)) * _GAUGE
-
-    width = place(limit if row.std is None else row.std) if row.is_known else _GAUGE
-    ticks = ''.join(
-        f'<path class="tick" d="M{place(value):.1f} 1v14"/>'
-        for value in (row.weak_limit, row.unobserved_limit) if value > 0)
-    return (f'<svg class="gauge" viewBox="0 0 {_GAUGE} 16" role="img" aria-label="deviation '
-            f'{row.word}"><rect class="track" x="0" y="5" width="{_GAUGE}" height="6" rx="3"/>'
-            f'<rect class="fill-{row.word}" x="0" y="5" width="{width:.1f}" height="6" rx="3"/>'
-            f'{ticks}</svg>')
+    std = row.weak_limit if row.std is None else row.std
+    values = np.array([std if row.is_known else np.inf, row.weak_limit, row.unobserved_limit])
+    # Of the decades that are shown.
+    share = np.log10(np.maximum(values, 1e-12) / max(row.weak_limit, 1e-9)) + _BELOW
+    width, *limits = np.clip(share / (_BELOW + _ABOVE), 0.02, 1.0) * _GAUGE
+    canvas = Canvas(_GAUGE, 16)
+    for style, length in (('gauge', _GAUGE), (f'fill-{row.word}', width)):
+        canvas.box(0, 5, length, 6, style)
+    for x in limits:
+        canvas.box(x, 1, 1, 14, 'tick')
+    return canvas.svg(f'deviation {row.word}')
 
 
 def _copies(result: CalibrationResult) -> str:
@@ -105,19 +106,16 @@ def _copies(result: CalibrationResult) -> str:
     if forward.kept_back:
         return ('<div class="copies"><h3>Copy as</h3><p class="lead">Nothing yet: '
                 f'{escape(forward.kept_back)} is unobserved.</p></div>')
-    tabs = panels = ''
-    for name, title in FORMATS.items():
+    tabs = ''
+    for name, title in _FORMATS.items():
         try:
             there, back = (EXPORTS[name].write(item) for item in (forward, forward.inverted()))
         except CalibrationError:
             # Two frames of one name have no place in a tree.
             return ''
         words = EXPORTS[name].sentence
-        tabs += (f'<input type="radio" name="format" id="f-{name}"{"" if tabs else " checked"}>'
-                 f'<label for="f-{name}">{title}</label>')
-        panels += (
-            f'<div class="panel" id="p-{name}"><p>{escape(words[:1].upper() + words[1:])}.</p>'
-            f'<pre class="forward">{escape(there)}</pre><pre class="inverse">{escape(back)}</pre>'
-            '</div>')
-    return filled('copies.html', a=escape(result.frame_a), b=escape(result.frame_b), tabs=tabs,
-                  panels=panels)
+        tabs += filled(
+            'copy.html', format=name, title=title, checked='' if tabs else ' checked',
+            sentence=escape(words[:1].upper() + words[1:]), forward=escape(there),
+            inverse=escape(back))
+    return filled('copies.html', a=escape(result.frame_a), b=escape(result.frame_b), tabs=tabs)

@@ -6,12 +6,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, UNOBSERVED
 from trajectory_calibration.data.motion_pairs import reference_indices
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -37,8 +35,6 @@ _SCALE_PARTS = 8
 _SCALE_SECONDS = (2.0, 1.0, 0.5, 0.2)
 # A scale that is so many times as uncertain as the others is not shown.
 _VAGUE = 8.0
-# A part that is off by so many deviations, and this share of the limit of weak, contradicts.
-_FAR, _NOTABLE = 3.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,35 +62,12 @@ class Residuals:
 
 
 @dataclass(frozen=True, eq=False)
-class PathScale:
-    """Metres of a per metre of b over parts of the path, relative to the scale of the answer."""
-
-    seconds: FloatArray
-    ratio: FloatArray
-    std: FloatArray
-
-
-class PartAnswers(NamedTuple):
-    """One number from each part of the data, minus the answer; metres or degrees.
-
-    ``names`` are 'Q1' to 'Q4', of which there are ``quarters``, then the seconds of each time
-    scale; ``values`` and ``std`` are (N,), as are ``known`` (the part tells this number) and
-    ``far`` (it contradicts the answer, whose deviation is ``own``), or all ``unobserved``.
-    """
-
-    quarters: int
-    names: tuple[str, ...]
-    values: FloatArray
-    std: FloatArray
-    own: float
-    known: NDArray[np.bool_]
-    far: NDArray[np.bool_]
-    unobserved: bool
-
-
-@dataclass(frozen=True, eq=False)
 class ReportData:
-    """One result and what its figures show."""
+    """One result and what its figures show.
+
+    ``scale``, (S, 3): over parts of the drive, in whose middles they stand (seconds), metres of a
+    per metre of b relative to the scale of the answer, and the standard deviations.
+    """
 
     result: CalibrationResult
     rows: tuple[Row, ...]
@@ -102,7 +75,7 @@ class ReportData:
     parts: Parts
     residuals: Residuals
     clocks: Clocks
-    scale: PathScale
+    scale: FloatArray
 
     @property
     def need_deg(self) -> float | None:
@@ -122,21 +95,6 @@ class ReportData:
     def driven(self) -> str:
         """Return how far sensor a went, and how long that took."""
         return f'{metres(self.tracks.path_m[-1])} in {self.tracks.seconds[-1]:.0f} s'
-
-    def of_parts(self, k: int) -> PartAnswers:
-        """Return what the parts say of the k-th of the six numbers."""
-        parts, limits = self.parts, self.rows[k]
-        values = np.concatenate([parts.quarters[:, k], parts.scales[:, k]])
-        std = np.concatenate([parts.quarter_std[:, k], parts.scale_std[:, k]])
-        own = 0.0 if self.result.std is None else TO_DEGREES[k] * self.result.std[k]
-        unobserved = self.result.observability.status[DEGREES_OF_FREEDOM[k]] == UNOBSERVED
-        known = np.isfinite(std) & (std < limits.unobserved_limit) & (not unobserved)
-        # Beyond chance, and beyond what anybody would call a difference.
-        far = known & (np.abs(values) > _FAR * np.hypot(std, own)) & (
-            np.abs(values) > _NOTABLE * limits.weak_limit)
-        names = (*(f'Q{n + 1}' for n in range(len(parts.quarters))),
-                 *(f'{seconds:g}' for seconds in parts.scales_s))
-        return PartAnswers(len(parts.quarters), names, values, std, own, known, far, unobserved)
 
 
 def report_data(
@@ -191,15 +149,14 @@ def _of_motions(
     return values * TO_DEGREES, sigma * TO_DEGREES
 
 
-def _path_scale(tracks: Tracks) -> PathScale:
-    """Compare the lengths of the motions of both over parts of the path."""
-    empty = PathScale(np.zeros(0), np.zeros(0), np.zeros(0))
+def _path_scale(tracks: Tracks) -> FloatArray:
+    """Compare the lengths of the motions of both over parts of the drive."""
     for seconds in _SCALE_SECONDS:
         i, j = lagged(tracks, lag_of(tracks, seconds), _RESIDUALS)
         if len(i) > 0.5 * min(len(tracks), _RESIDUALS):
             break
     if len(i) < 5 * _SCALE_PARTS:
-        return empty
+        return np.zeros((0, 3))
     of_a, of_c = (motions[:, :3, 3] for motions in tracks.motions(i, j)[:2])
     overlap = max(1.0, np.mean(j - i) / max(1, int(np.median(np.diff(i)))))
     found = []
@@ -211,9 +168,7 @@ def _path_scale(tracks: Tracks) -> PathScale:
         ratio = np.sum(of_a[part] * of_c[part]) / square
         left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
         found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
-    if not found:
-        return empty
-    found_s, ratio, std = np.array(found).T
+    scale = np.reshape(found, (-1, 3))
+    usual = np.median(scale[:, 2]) if found else 0.0
     # Where a sensor hardly moves, its scale means nothing.
-    known = std <= max(_VAGUE * np.median(std), 1e-4)
-    return PathScale(found_s[known], ratio[known], std[known]) if known.sum() > 1 else empty
+    return scale[scale[:, 2] <= max(_VAGUE * usual, 1e-4)]

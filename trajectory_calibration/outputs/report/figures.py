@@ -8,9 +8,8 @@ as that of the page; wide screens show several side by side.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,88 +30,91 @@ _SHORTEST_AXIS = 4
 # Standard deviations that an ellipse reaches, which holds 95 %.
 REACH = float(np.sqrt(quantile(2, 0.05)))
 
+# What stands at a tick, a line of it below the other.
+Ticks = Sequence[tuple[float, str]]
+
 
 def ticks(low: float, high: float, count: int = _TICKS) -> FloatArray:
     """Return round numbers from low to high, about ``count``."""
-    span = high - low
-    if not np.isfinite(span) or span <= 0:
+    if not high > low:
         return np.array([low])
-    raw = span / count
+    raw = (high - low) / count
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * next(factor for factor in (1, 2, 5, 10) if factor * power >= 0.999 * raw)
-    first = np.ceil(low / step - 1e-9)
-    return step * np.arange(first, np.floor(high / step + 1e-9) + 1)
+    return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
 
 
 def log_ticks(low: float, high: float) -> FloatArray:
     """Return powers of ten between low and high, or 1, 2, 5 where these are few."""
     powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    factors = (1.0,) if np.log10(high / low) > 2 else (1.0, 2.0, 5.0)
-    found = np.sort(np.concatenate([factor * 10.0**powers for factor in factors]))
+    factors = [1.0] if np.log10(high / low) > 2 else [1.0, 2.0, 5.0]
+    found = np.outer(10.0**powers, factors).ravel()
     return found[(found >= 0.999 * low) & (found <= 1.001 * high)]
 
 
 def label(value: float) -> str:
     """Return a number of an axis: 0, 0.05, 1200."""
-    return f'{value + 0.0:.6g}' if abs(value) > 1e-12 else '0'
+    return f'{value + 0.0:.6g}'
 
 
-def limits(*arrays: ArrayLike, include: Sequence[float] = (), pad: float = 0.06) -> tuple[
-        float, float]:
+def limits(*arrays: ArrayLike, include: Sequence[float] = ()) -> tuple[float, float]:
     """Return an interval that holds all finite numbers with a little room; never empty."""
     values = np.concatenate([np.ravel(array) for array in (*arrays, include)])
     values = values[np.isfinite(values)]
     if not len(values):
         return 0.0, 1.0
     low, high = values.min(), values.max()
-    room = pad * (high - low) or max(abs(low), 1e-3) * 0.5
+    room = 0.06 * (high - low) or max(abs(low), 1e-3) * 0.5
     return low - room, high + room
 
 
 class Canvas:
     """A picture in units of its own, from the upper left corner; ``svg`` returns it.
 
-    ``style`` is a class of the style sheet, ``css`` what is of this one drawing, a colour.
+    ``style`` is a class of the style sheet, ``css`` what is of this one drawing, a colour;
+    ``words`` are shown under the pointer, but those of a text.
     """
 
-    def __init__(self, name: str, width: float = WIDTH, height: float = HEIGHT) -> None:
-        self.width, self.height, self._name = width, height, name
+    def __init__(self, width: float = WIDTH, height: float = HEIGHT) -> None:
+        self.width, self.height = width, height
         self._parts: list[str] = []
 
     def add(
-        self, tag: str, style: str = '', css: str = '', inside: str = '', **places: float | str,
+        self, tag: str, style: str = '', css: str = '', words: str = '', **places: float | str,
     ) -> None:
-        """Add an element; of its places, numbers are written to a tenth."""
-        words = [tag, *(f'{key}="{escape(value)}"' for key, value in (
-            ('class', style), ('style', css)) if value)]
-        words += [f'{key.replace("_", "-")}="{_place(value)}"' for key, value in places.items()]
-        self._parts.append(f'<{" ".join(words)}' + (f'>{inside}</{tag}>' if inside else '/>'))
+        """Add an element; numbers are written to a tenth."""
+        found = {'class': style, 'style': css} | {
+            key.replace('_', '-'): value if isinstance(value, str) else f'{round(value, 1):.6g}'
+            for key, value in places.items()}
+        start = ' '.join([tag, *(f'{key}="{value}"' for key, value in found.items() if value)])
+        inside = escape(words)
+        if words and tag != 'text':
+            inside = f'<title>{inside}</title>'
+        self._parts.append(f'<{start}>{inside}</{tag}>' if inside else f'<{start}/>')
 
-    def path(self, points: FloatArray, style: str = '', css: str = '', *, closed: bool = False,
-             title: str = '') -> None:
+    def path(self, points: FloatArray, style: str = '', css: str = '', words: str = '', *,
+             closed: bool = False) -> None:
         """Draw a line through (N, 2) points; NaN breaks it."""
-        self.add('path', style, css, _title(title), d=_path(points) + 'Z' * closed)
+        self.add('path', style, css, words, d=_path(points) + 'Z' * closed, transform='scale(.1)')
 
-    def circle(
-        self, x: float, y: float, radius: float, style: str = '', css: str = '', title: str = '',
-    ) -> None:
-        """Draw a dot; ``title`` is shown under the pointer."""
-        self.add('circle', style, css, _title(title), cx=x, cy=y, r=f'{radius:g}')
+    def dot(self, at: FloatArray, radius: float, style: str = '', css: str = '', words: str = '',
+            ) -> None:
+        """Mark a point, (2,)."""
+        self.add('circle', style, css, words, cx=at[0], cy=at[1], r=radius)
 
-    def box(self, x: float, y: float, width: float, height: float, style: str = '',
-            css: str = '', title: str = '') -> None:
+    def box(self, x: float, y: float, width: float, height: float, style: str) -> None:
         """Fill a rectangle."""
-        self.add('rect', style, css, _title(title), x=x, y=y, width=width, height=height)
+        self.add('rect', style, x=x, y=y, width=width, height=height)
 
     def text(self, x: float, y: float, words: str, anchor: str = 'start', style: str = 'note',
              ) -> None:
         """Write words."""
-        self.add('text', style, '', escape(words), x=x, y=y, text_anchor=anchor)
+        self.add('text', style, '', words, x=x, y=y, text_anchor=anchor)
 
-    def svg(self) -> str:
-        """Return the picture."""
+    def svg(self, name: str) -> str:
+        """Return the picture; its name is for those who hear it."""
         return (f'<svg viewBox="0 0 {self.width} {self.height}" role="img" '
-                f'aria-label="{escape(self._name)}">{"".join(self._parts)}</svg>')
+                f'aria-label="{escape(name)}">{"".join(self._parts)}</svg>')
 
 
 class Scene(Canvas):
@@ -121,21 +123,16 @@ class Scene(Canvas):
     ``middle``, (2,), stands in its centre; ``pixels`` are units of the picture per metre.
     """
 
-    def __init__(
-        self, name: str, width: float, height: float, middle: FloatArray, pixels: float,
-    ) -> None:
-        super().__init__(name, width, height)
+    def __init__(self, width: float, height: float, middle: FloatArray, pixels: float) -> None:
+        super().__init__(width, height)
         self._middle, self.pixels = middle, pixels
 
     @classmethod
-    def around(
-        cls, points: FloatArray, name: str, width: float, height: float, *, margin: float = 24,
-    ) -> Scene:
+    def around(cls, points: FloatArray, width: float, height: float) -> Scene:
         """Return a scene that holds (N, 2) points."""
         low, high = points.min(axis=0), points.max(axis=0)
-        room = np.array([width - 2 * margin, height - 2 * margin])
-        return cls(name, width, height, 0.5 * (low + high),
-                   np.min(room / np.maximum(high - low, 1e-9)))
+        room = np.array([width, height]) - 2 * 24
+        return cls(width, height, 0.5 * (low + high), np.min(room / np.maximum(high - low, 1e-9)))
 
     def place(self, points: ArrayLike) -> FloatArray:
         """Return where (N, 2) points, or one, stand in the picture."""
@@ -147,18 +144,12 @@ class Scene(Canvas):
         """Draw a line through (N, 2) points."""
         self.path(self.place(points), style, css, closed=closed)
 
-    def dot(self, point: FloatArray, radius: float, style: str = '', css: str = '') -> None:
-        """Mark a point."""
-        x, y = self.place(point)
-        self.circle(x, y, radius, style, css)
-
     def axes(self, origin: FloatArray, axes: FloatArray, arm: float) -> None:
         """Draw the three axes of a sensor, (2, 3) each; one towards the reader is left out."""
-        start = self.place(origin)
         for k, letter in enumerate('xyz'):
-            end = self.place(origin + arm * axes[:, k])
-            if np.linalg.norm(end - start) > _SHORTEST_AXIS:
-                self.path(np.stack([start, end]), f'axis-{letter}')
+            ends = self.place([origin, origin + arm * axes[:, k]])
+            if np.linalg.norm(ends[1] - ends[0]) > _SHORTEST_AXIS:
+                self.path(ends, f'axis-{letter}')
 
     def legend(self, across: str, up: str) -> None:
         """Write which axis points where, and draw a scale bar."""
@@ -169,10 +160,11 @@ class Scene(Canvas):
         """Draw a bar of a round length, and write how long it is."""
         longest = 0.3 * self.width / self.pixels
         length = log_ticks(0.1 * longest, longest)[-1]
-        words = f'{length:g} m' if length >= 0.1 else f'{1e3 * length:g} mm'
         x, y = 10, self.height - 8
-        self.add('path', 'axis', d=f'M{x} {y - 5}v5h{length * self.pixels:.1f}v-5')
-        self.text(x + 2, y - 4, words)
+        right = x + length * self.pixels
+        self.path(np.array([[x, y - 5], [x, y], [right, y], [right, y - 5]]), 'axis')
+        self.text(x + 2, y - 4,
+                  f'{length:g} m' if length >= 0.1 else f'{1e3 * length:g} mm')
 
 
 def ellipse(covariance: FloatArray) -> FloatArray:
@@ -208,12 +200,11 @@ class Plot:
     """
 
     def __init__(
-        self, x: tuple[float, float], y: tuple[float, float], *, name: str, x_label: str = '',
+        self, x: tuple[float, float], y: tuple[float, float], *, x_label: str = '',
         y_label: str = '', log_y: bool = False, height: int = HEIGHT,
-        x_ticks: Sequence[tuple[float, str]] | None = None,
-        y_ticks: Sequence[tuple[float, str]] | None = None,
+        x_ticks: Ticks | None = None, y_ticks: Ticks | None = None,
     ) -> None:
-        self.name, self.x, self.y, self.log_y, self._height = name, x, y, log_y, height
+        self.x, self.y, self.log_y, self._height = x, y, log_y, height
         self.x_label, self.y_label = x_label, y_label
         self.x_ticks, self.y_ticks = x_ticks, y_ticks
         self.marks: list[Mark] = []
@@ -222,9 +213,7 @@ class Plot:
         """Draw a line; NaN breaks it."""
         self._mark('line', x, y, style)
 
-    def dots(
-        self, x: ArrayLike, y: ArrayLike, style: str, radius: float = 2.6, title: str = '',
-    ) -> None:
+    def dots(self, x: ArrayLike, y: ArrayLike, style: str, radius: float, title: str = '') -> None:
         """Draw a dot at each point."""
         self._mark('dots', x, y, style, title, radius)
 
@@ -234,11 +223,10 @@ class Plot:
     ) -> None:
         """Write words at a point."""
         if words:
-            self._mark('words', [x], [y], anchor, words, shift=shift)
+            self._mark('words', [x], [y], anchor, words, 0.0, shift)
 
-    def _mark(self, kind: str, x: ArrayLike, y: ArrayLike, *how: Any, **more: Any) -> None:
-        x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-        self.marks.append(Mark(kind, x, y, *how, **more))
+    def _mark(self, kind: str, x: ArrayLike, y: ArrayLike, *how: Any) -> None:
+        self.marks.append(Mark(kind, np.asarray(x, float), np.asarray(y, float), *how))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, style: str) -> None:
         """Fill between two lines."""
@@ -267,24 +255,29 @@ class Plot:
         self.write(self.x[end], y, words, anchor, (shift, -4))
 
     def vertical(self, x: float, style: str, words: str = '') -> None:
-        """Draw an upright line with its name at the top."""
+        """Draw an upright line with its name at the bottom."""
         self.line([x, x], self.y, style)
-        self.write(x, self.y[1], words, shift=(4, 9))
+        self.write(x, self.y[0], words, shift=(4, -4))
 
-    def svg(self) -> str:
-        """Return the picture."""
-        canvas = Canvas(self.name, WIDTH, self._height)
+    def svg(self, name: str) -> str:
+        """Return the picture; its name is for those who hear it."""
+        canvas = Canvas(WIDTH, self._height)
         bottom, right = self._height - _BOTTOM, WIDTH - _RIGHT
-        to_x = _axis(self.x, _LEFT, right, log=False)
-        to_y = _axis(self.y, bottom, _TOP, log=self.log_y)
+
+        def place(x: ArrayLike, y: ArrayLike) -> FloatArray:
+            return np.column_stack([_scaled(x, self.x, (_LEFT, right)),
+                                    _scaled(y, self.y, (bottom, _TOP), log=self.log_y)])
+
         y_ticks = log_ticks(*self.y) if self.log_y else ticks(*self.y)
         for value, words in _labelled(y_ticks) if self.y_ticks is None else self.y_ticks:
-            py = float(to_y(value))
-            canvas.path(np.array([[_LEFT, py], [right, py]]), 'grid')
-            canvas.text(_LEFT - 6, py + 4, words, 'end', '')
+            ends = place(self.x, [value, value])
+            canvas.path(ends, 'grid')
+            canvas.text(_LEFT - 6, ends[0, 1] + 4, words, 'end', '')
         for value, words in _labelled(ticks(*self.x)) if self.x_ticks is None else self.x_ticks:
-            canvas.text(float(to_x(value)), bottom + 15, words, 'middle', '')
-        canvas.path(np.array([[_LEFT, bottom], [right, bottom]]), 'axis')
+            for k, line in enumerate(words.split('\n')):
+                canvas.text(place(value, self.y[0])[0, 0], bottom + 15 + 13 * k, line, 'middle',
+                            '')
+        canvas.path(place(self.x, [self.y[0]] * 2), 'axis')
         # Beside its axis, in a corner where no curve ends.
         canvas.text(right, self._height - 3, self.x_label, 'end', 'unit')
         canvas.text(2, 9, self.y_label, style='unit')
@@ -292,76 +285,51 @@ class Plot:
             x, y = mark.x, mark.y
             if mark.kind == 'line' and len(x) > 2 * _COLUMNS:
                 x, y = _envelope(x, y)
-            points = np.column_stack([to_x(x), to_y(np.clip(y, *self.y))])
+            points = place(x, y)
             if mark.kind == 'words':
                 px, py = points[0] + mark.shift
                 canvas.text(px, py, mark.words, mark.style)
             elif mark.kind == 'dots':
-                for px, py in points[np.isfinite(points).all(axis=1)]:
-                    canvas.circle(px, py, mark.size, mark.style, title=mark.words)
+                for at in points[np.isfinite(points).all(axis=1)]:
+                    canvas.dot(at, mark.size, mark.style, words=mark.words)
             else:
-                canvas.path(points, mark.style, closed=mark.kind == 'area', title=mark.words)
-        return canvas.svg()
+                canvas.path(points, mark.style, '', mark.words, closed=mark.kind == 'area')
+        return canvas.svg(name)
 
 
-def _labelled(values: FloatArray) -> list[tuple[float, str]]:
+def _labelled(values: FloatArray) -> Ticks:
     return [(value, label(value)) for value in values]
 
 
-def _title(words: str) -> str:
-    return f'<title>{escape(words)}</title>' if words else ''
-
-
-def _place(value: float | str) -> str:
-    return value if isinstance(value, str) else f'{round(value, 1):.6g}'
+def _scaled(
+    values: ArrayLike, interval: tuple[float, float], ends: tuple[float, float], *,
+    log: bool = False,
+) -> FloatArray:
+    """Return where values of an interval stand between two ends; those outside stand there."""
+    values = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    if log:
+        return np.interp(np.log10(np.maximum(values, 1e-12)), np.log10(interval), ends)
+    return np.interp(values, interval, ends)
 
 
 def _path(points: FloatArray) -> str:
-    """Return the data of a path through (N, 2) points of the picture; NaN breaks it."""
-    # Whole tenths, so that rounding does not add up over the steps.
-    words, before, pen = [], (0, 0), False
-    for px, py in points:
-        if not (np.isfinite(px) and np.isfinite(py)):
-            pen = False
-            continue
-        at = round(10 * px), round(10 * py)
-        if pen:
-            step = _tenths(at[0] - before[0]), _tenths(at[1] - before[1])
-            words.append('l' + step[0] + ('' if step[1].startswith('-') else ' ') + step[1])
-        else:
-            words.append(f'M{at[0] / 10:g} {at[1] / 10:g}')
-        before, pen = at, True
-    return ''.join(words) or 'M0 0'
-
-
-def _tenths(value: int) -> str:
-    """Return the shortest text of tenths: '.5', '-12', '-.3'."""
-    words = f'{value / 10:g}'
-    return words.replace('0.', '.', 1) if abs(value) < 10 else words
-
-
-def _axis(
-    interval: tuple[float, float], start: float, end: float, *, log: bool,
-) -> Callable[[ArrayLike], FloatArray]:
-    low, high = np.log10(interval) if log else interval
-    scale = (end - start) / (high - low if high > low else 1.0)
-
-    def place(values: ArrayLike) -> FloatArray:
-        if log:
-            values = np.log10(np.maximum(values, 1e-12))
-        return start + (np.clip(values, low, high) - low) * scale
-
-    return place
+    """Return the data of a path through (N, 2) points, in tenths; NaN breaks it."""
+    # In whole numbers, whose rounding does not add up over the steps.
+    tenths = np.round(10 * points)
+    known = np.append(np.isfinite(tenths).all(axis=1), False)
+    words = ''
+    for start, end in np.flatnonzero(np.diff(known, prepend=False)).reshape(-1, 2):
+        (x, y), *more = np.diff(tenths[start:end].astype(int), axis=0, prepend=0).tolist()
+        words += f'M{x} {y}' + ''.join(f'l{dx} {dy}' for dx, dy in more).replace(' -', '-')
+    return words or 'M0 0'
 
 
 def _envelope(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the least and the largest point of each column, in their order."""
-    edges = np.linspace(0, len(x), _COLUMNS + 1).astype(np.intp)
-    keep: list[int] = []
-    for first, last in itertools.pairwise(edges):
-        part = y[first:last]
-        if np.isnan(part).all():
-            keep.append(first)
-        else:
-            keep += sorted({first + int(np.nanargmin(part)), first + int(np.nanargmax(part))})
+    width = -(-len(y) // _COLUMNS)
+    padded = np.append(y, np.full(_COLUMNS * width - len(y), np.nan)).reshape(_COLUMNS, width)
+    first = width * np.arange(_COLUMNS)
+    keep = np.unique([first + np.where(np.isnan(padded), np.inf, sign * padded).argmin(axis=1)
+                      for sign in (1, -1)])
+    keep = keep[keep < len(y)]
     return x[keep], y[keep]

@@ -17,12 +17,6 @@ import numpy as np
 from trajectory_calibration.outputs.report.figures import Canvas, Plot
 from trajectory_calibration.version import __version__
 
-# Formats to copy, and what stands on their tabs.
-FORMATS = {
-    'urdf': 'URDF', 'static-tf': 'static transform', 'autoware': 'Autoware', 'kalibr': 'Kalibr',
-    'matrix': '4 × 4', 'tum': 'TUM', 'yaml': 'YAML',
-}
-
 
 def asset(name: str) -> str:
     """Return the text of a file beside this module."""
@@ -40,13 +34,6 @@ def versions() -> str:
             f'NumPy {np.__version__}, {platform.system()} {platform.machine()}')
 
 
-def style() -> str:
-    """Return the style sheet."""
-    chosen = ','.join(
-        f'.copies:has(#f-{name}:checked) #p-{name}' for name in FORMATS)
-    return asset('page.css').replace('FORMAT_RULES', f'{chosen}{{display:block}}')
-
-
 def page(
     title: str, sections: str, *, navigation: tuple[str, ...] = (),
     scripts: tuple[str, ...] = ('page.js', 'view3d.js'),
@@ -55,23 +42,25 @@ def page(
     links = ''.join(f'<a href="#s{k}">{k} {escape(name)}</a>'
                     for k, name in enumerate(navigation, 1))
     script = f'<script>{"".join(map(asset, scripts))}</script>' if scripts else ''
-    return filled('page.html', title=escape(title), made_by=escape(versions()), style=style(),
-                  links=links, sections=sections, script=script)
+    return filled(
+        'page.html', title=escape(title), made_by=escape(versions()), style=asset('page.css'),
+        links=links, sections=sections, script=script)
 
 
 def metres(value: float) -> str:
     """Return a length for a person: '1.72 m', '3.1 km', '4 mm'."""
     if value >= 1000:
         return f'{1e-3 * value:.3g} km'
-    if value >= 1:
+    if value >= 1 or value == 0:
         return f'{value:.3g} m'
     return f'{1e3 * value:.3g} mm' if value < 0.01 else f'{value:.2g} m'
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital and a full stop; names (sensor_a, a.tum) keep their case."""
+    """Return a text with a capital and a full stop; names (x, sensor_a, a.tum) keep their case."""
     first, _, rest = text.partition(' ')
-    start = first.capitalize() if first.isalpha() and first.islower() else first
+    named = len(first) == 1 or not first.isalpha() or not first.islower()
+    start = first if named else first.capitalize()
     return f'{start} {rest}'.rstrip() + ('' if text.endswith('.') else '.')
 
 
@@ -95,27 +84,25 @@ def _captions() -> RawConfigParser:
 
 def figure(
     kind: str, picture: Canvas | Plot | str, reading: str, *, wide: bool = False,
-    legend: str = '', **names: str,
+    legend: Iterable[tuple[str, str]] = (), **names: str,
 ) -> str:
     """Return a figure with what it says here, and what good and bad look like.
 
-    ``kind`` is a section of captions.ini, whose title has gaps for ``names``.
+    ``kind`` is a section of captions.ini, whose title has gaps for ``names``; ``legend`` has a
+    class or a colour, and a name, for each thing that is drawn; a picture may be HTML.
     """
     title, good, bad = (_captions()[kind][key] for key in ('title', 'good', 'bad'))
+    title = title.format(**names)
+    keys = ''.join(f'<span><i class="key {style}" style="--key:{style}"></i>{escape(name)}</span>'
+                   for style, name in legend)
+    keys = f'<p class="legend">{keys}</p>' if keys else ''
     style = ' class="wide"' if wide else ''
-    drawn = picture if isinstance(picture, str) else picture.svg()
+    drawn = picture if isinstance(picture, str) else picture.svg(title)
     return (
-        f'<figure{style}><h3>{escape(title.format(**names))}</h3>{legend}{drawn}<figcaption>'
-        f'<p class="reading">{escape(reading)}</p>'
+        f'<figure{style}><h3>{escape(title)}</h3>{keys}{drawn}'
+        f'<figcaption><p class="reading">{escape(reading)}</p>'
         f'<p><b>Good:</b> {escape(good)}. <b>Bad:</b> {escape(bad)}.</p>'
         '</figcaption></figure>')
-
-
-def legend(*items: tuple[str, str]) -> str:
-    """Return a legend of (style, name)."""
-    inside = ''.join(f'<span><i class="key {style}"></i>{escape(name)}</span>'
-                     for style, name in items)
-    return f'<p class="legend">{inside}</p>'
 
 
 def section(number_: int, title: str, inside: str, lead: str = '', *, columns: int = 3) -> str:
@@ -126,9 +113,9 @@ def section(number_: int, title: str, inside: str, lead: str = '', *, columns: i
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]], style: str = '') -> str:
-    """Return a table of escaped cells."""
-    top = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    """Return a table of escaped cells, in which '+-' is one sign."""
+    top = ''.join(f'<th>{escape(cell)}</th>' for cell in head)
     body = ''.join(
         '<tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row) + '</tr>' for row in rows)
-    return (f'<div class="scroll"><table class="{style}"><thead><tr>{top}</tr></thead>'
-            f'<tbody>{body}</tbody></table></div>')
+    text = f'<thead><tr>{top}</tr></thead><tbody>{body}</tbody>'.replace('+-', '±')
+    return f'<div class="scroll"><table class="{style}">{text}</table></div>'

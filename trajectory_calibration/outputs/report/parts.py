@@ -11,7 +11,7 @@ overlap.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import itertools
 
 import numpy as np
@@ -43,22 +43,28 @@ _OUTLIER = 6.0
 _HELD = 1e12
 # Points of the curve of deviation over time.
 _CURVE = 24
+# A part that is off by so many deviations, and this share of the limit of weak, contradicts.
+_FAR, _NOTABLE = 3.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
     """Answers of parts of the data minus the answer; metres along, degrees about x, y, z of a.
 
-    Of quarters, (4, 6), NaN where one says nothing; of time scales, (S, 6), of ``scales_s``
-    seconds. ``growth_std``, (T, 6), is what ``growth_s`` seconds of the drive would have given;
-    NaN where nothing determines the direction.
+    ``names`` are 'Q1' to 'Q4' and the seconds of each time scale, none where the drive is too
+    short; ``values`` and ``std``, (N, 6), NaN where one says nothing; ``known``, (N, 6): the part
+    tells this number; ``far``: it contradicts the answer, whose deviations are ``own``, (6,);
+    ``unobserved``, (6,): nothing tells it. ``growth_std``, (T, 6), is what ``growth_s`` seconds
+    of the drive would have given; NaN where nothing determines the direction.
     """
 
-    quarters: FloatArray
-    quarter_std: FloatArray
-    scales_s: FloatArray
-    scales: FloatArray
-    scale_std: FloatArray
+    names: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+    known: NDArray[np.bool_]
+    far: NDArray[np.bool_]
+    own: FloatArray
+    unobserved: NDArray[np.bool_]
     growth_s: FloatArray
     growth_std: FloatArray
 
@@ -72,10 +78,6 @@ class _Scores:
     information: FloatArray
     overlap: int
 
-    def picked(self, mask: NDArray[np.bool_]) -> _Scores:
-        return replace(self, start=self.start[mask], score=self.score[mask],
-                       information=self.information[mask])
-
 
 def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
     """Return what quarters and time scales of the tracks say of the extrinsic."""
@@ -87,20 +89,28 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
         scores = _scores(tracks, result.T_a_b, lag)
         if len(scores.start) >= _LEAST_MOTIONS:
             by_scale.append((seconds, scores))
+    own = np.zeros(6) if result.std is None else TO_DEGREES * result.std
+    unobserved = np.array(list(result.observability.status.values())) == UNOBSERVED
     solved = [_solve(scores, held) for _, scores in by_scale]
     std = np.array([deviation for _, deviation in solved])
     if np.isnan(std).all():
-        empty = np.zeros((0, 6))
-        return Parts(empty, empty, np.zeros(0), empty, empty, np.zeros(0), empty)
+        none = np.zeros((0, 6))
+        return Parts((), none, none, none > 0, none > 0, own, unobserved, np.zeros(0), none)
     # Where the time scale is short, white noise is all; where it is long, few are independent.
     best = by_scale[int(np.nanargmin(np.sum(np.log(std), axis=1)))][1]
     edges = np.linspace(0, len(tracks), QUARTERS + 1)
-    quarters = [_solve(best.picked((best.start >= low) & (best.start < high)), held)
+    quarters = [_solve(best, held, (best.start >= low) & (best.start < high))
                 for low, high in itertools.pairwise(edges)]
-    of_quarters, of_scales = _degrees(quarters), _degrees(solved)
-    return Parts(
-        of_quarters[0], of_quarters[1], np.array([seconds for seconds, _ in by_scale]),
-        of_scales[0], of_scales[1], *_growth(tracks, best, result, held))
+    values, std = np.array(quarters + solved).swapaxes(0, 1) * TO_DEGREES
+    config = result.config
+    limit = np.repeat([config.unobserved_translation, config.unobserved_rotation], 3)
+    known = np.isfinite(std) & (std < limit) & ~unobserved
+    # Beyond chance, and beyond what anybody would call a difference.
+    notable = _NOTABLE * np.repeat([config.weak_translation, config.weak_rotation], 3)
+    far = known & (np.abs(values) > np.maximum(_FAR * np.hypot(std, own), notable))
+    names = (*(f'Q{n + 1}' for n in range(QUARTERS)), *(f'{scale:g}' for scale, _ in by_scale))
+    return Parts(names, values, std, known, far, own, unobserved,
+                 *_growth(tracks, best, result, held, unobserved))
 
 
 def lag_of(tracks: Tracks, seconds: float) -> int:
@@ -133,15 +143,12 @@ def lagged(tracks: Tracks, lag: int, count: int) -> tuple[Indices, Indices]:
 
 def _jacobian(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> FloatArray:
     """Return (M, 6, 6), the derivative of ``log(A^-1 C)`` by (dt, dtheta), motion seen as C."""
-    t, R_C, R_t = T_a_b[:3, 3], C[:, :3, :3], np.swapaxes(A[:, :3, :3], 1, 2)
-    open_ = np.eye(3) - R_C
-    turned = R_C @ t
-    # R t_B, the motion of b in the axes of a, from that of a.
-    moved_b = C[:, :3, 3] - t + turned
-    J = np.zeros((len(C), 6, 6))
-    J[:, :3, :3] = J[:, 3:, 3:] = R_t @ open_
-    J[:, :3, 3:] = R_t @ (se3.skew(turned) @ open_ - se3.skew(moved_b))
-    return J
+    seen = A.copy()
+    seen[:, :3, 3] = C[:, :3, 3]
+    # A turn of b about its own place moves what stands at the origin of a.
+    to_twist = np.eye(6)
+    to_twist[:3, 3:] = se3.skew(T_a_b[:3, 3])
+    return se3.adjoint(se3.inverse(seen)) @ (np.eye(6) - se3.adjoint(C)) @ to_twist
 
 
 def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
@@ -159,18 +166,21 @@ def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
     information = np.swapaxes(of_c, 1, 2) @ weighted[:, :, :6]
     information = 0.5 * (information + np.swapaxes(information, 1, 2))
     stride = int(i[1] - i[0]) if len(i) > 1 else 1
-    return _Scores(i, score, information, max(1, lag // stride)).picked(keep)
+    return _Scores(i[keep], score[keep], information[keep], max(1, lag // stride))
 
 
-def _solve(scores: _Scores, held: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _solve(
+    scores: _Scores, held: FloatArray, part: slice | NDArray[np.bool_] = slice(None),
+) -> tuple[FloatArray, FloatArray]:
     """Return the (6,) step from the answer and its standard deviations, metres and radians."""
+    score, information = scores.score[part], scores.information[part]
     # Motions that overlap count once.
-    independent = len(scores.start) / scores.overlap
-    if len(scores.start) < _LEAST_MOTIONS or independent < _LEAST_INDEPENDENT:
+    independent = len(score) / scores.overlap
+    if len(score) < _LEAST_MOTIONS or independent < _LEAST_INDEPENDENT:
         return np.full(6, np.nan), np.full(6, np.nan)
-    inverse = _bounded_inverse(scores.information.sum(axis=0), held)
-    step = inverse @ scores.score.sum(axis=0)
-    left = scores.score - scores.information @ step
+    inverse = _bounded_inverse(information.sum(axis=0), held)
+    step = inverse @ score.sum(axis=0)
+    left = score - information @ step
     spread = _long_run(left, min(2 * scores.overlap, len(left) // 3))
     # A spread from so few is itself uncertain.
     spread *= 1 + _SMALL_SAMPLE / independent
@@ -211,6 +221,7 @@ def _long_run(scores: FloatArray, window: int) -> FloatArray:
 
 def _growth(
     tracks: Tracks, scores: _Scores, result: CalibrationResult, held: FloatArray,
+    unobserved: NDArray[np.bool_],
 ) -> tuple[FloatArray, FloatArray]:
     """Return times and (T, 6) standard deviations, which end at those of the answer."""
     running = np.cumsum(scores.information, axis=0)
@@ -220,11 +231,5 @@ def _growth(
     if result.std is not None:
         std *= result.std / np.maximum(std[-1], 1e-300)
     std = np.minimum(std, UNOBSERVED_STD)
-    unobserved = [status == UNOBSERVED for status in result.observability.status.values()]
     std[:, unobserved] = np.nan
     return tracks.seconds[scores.start[ends]], std * TO_DEGREES
-
-
-def _degrees(solved: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """Return the steps and the deviations of several answers, (2, N, 6)."""
-    return np.array(solved).swapaxes(0, 1) * TO_DEGREES

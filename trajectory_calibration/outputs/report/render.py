@@ -18,14 +18,13 @@ from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
 from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.page import (
+    asset,
     figure,
-    legend,
     metres,
     next_step,
     page,
     section,
     sentence,
-    style,
     verdict_section,
 )
 from trajectory_calibration.outputs.report.record import Record, record_cards
@@ -60,7 +59,7 @@ def render_box(result: CalibrationResult) -> str:
     """Return the verdict box alone, with its style, for a notebook."""
     box = verdict_box(result, answer_rows(result))
     # In a frame of its own, so that the style stays inside.
-    inside = f'<style>{style()} body{{background:none}}</style><main>{box}</main>'
+    inside = f'<style>{asset("page.css")} body{{background:none}}</style><main>{box}</main>'
     # Where the notebook lets it, the frame takes the height of what is inside.
     fit = 'this.style.height=this.contentDocument.documentElement.scrollHeight+&quot;px&quot;'
     return (f'<iframe srcdoc="{escape(inside)}" style="width:100%;height:460px;border:0" '
@@ -115,4 +114,4 @@ def _together(a: Trajectory, b: Trajectory) -> str:
             a, replace(b, stamps_ns=b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0]))
         reading += ' Drawn from the first pose of each, because they have no time in common.'
     return strip + figure('rates of inputs', draw.rates(clocks), reading,
-                          legend=legend(('a', a.sensor_frame), ('b', b.sensor_frame)))
+                          legend=[('a', a.sensor_frame), ('b', b.sensor_frame)])

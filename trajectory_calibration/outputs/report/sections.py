@@ -10,13 +10,16 @@ from trajectory_calibration.assessment.observability import OBSERVED
 from trajectory_calibration.errors import counted
 from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import ReportData
-from trajectory_calibration.outputs.report.page import figure, legend, metres, section
+from trajectory_calibration.outputs.report.page import figure, metres, section
+from trajectory_calibration.outputs.report.parts import Parts
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.tracks import MOST_JUMPS
 from trajectory_calibration.outputs.report.view3d import track_view
 from trajectory_calibration.outputs.screen import reference_words
 
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')
+
+PARTS = ('Translation', 'Rotation')
 
 # Share of normalised residuals beyond three deviations that a normal distribution has.
 _NORMAL_TAIL = 0.0027
@@ -33,22 +36,24 @@ def _tracks(data: ReportData) -> str:
     path = tracks.path_m[-1]
     share = (f' ({100 * tracks.distance_m.max() / path:.2g} % of {metres(path)} driven)'
              if path > 0 else '')
-    dots = 'jump' if len(tracks.jumps) <= MOST_JUMPS else f'jump, the largest {MOST_JUMPS}'
-    key = legend(('a', f'a: {result.frame_a}'), ('b', f'b carried over: {result.frame_b}'),
-                 ('jump', dots), ('gap', 'gap'))
+    key = [('a', f'a: {result.frame_a}'), ('b', f'b carried over: {result.frame_b}')]
+    if len(tracks.jumps):
+        key.append(('jump', 'jump' if len(tracks.jumps) <= MOST_JUMPS else
+                    f'jump, the largest {MOST_JUMPS}'))
+    if len(tracks.gaps):
+        key.append(('gap', 'gap'))
     jumps = counted(len(tracks.jumps), 'jump') if len(tracks.jumps) else 'no jumps'
     figures = (
         figure('tracks', track_view(tracks), f'The tracks are {usual} apart in the median and '
                f'{largest} at most{share}; {jumps}.', wide=True, legend=key)
-        + figure('distance by time', draw.distance_over_time(data),
-                 f'Median {usual}, largest {largest}.')
-        + figure('distance by path', draw.distance_over_path(data), f'Driven: {data.driven}.')
-        + figure('orientation', draw.angle_over_time(data),
+        + figure('distance', draw.apart_over_time(data),
+                 f'Median {usual}, largest {largest}. Driven: {data.driven}.')
+        + figure('orientation', draw.apart_over_time(data, rotation=True),
                  f'Median {np.median(tracks.angle_deg):.2g} deg, largest '
                  f'{tracks.angle_deg.max():.2g} deg.'))
     return section(1, 'Do the two tracks coincide?', figures,
                    'b is carried over to a with the extrinsic and laid on the track of a as a '
-                   'whole. Drag to turn, wheel to zoom.')
+                   'whole. Drag to turn, wheel to zoom.', columns=2)
 
 
 def _motion(data: ReportData) -> str:
@@ -59,7 +64,6 @@ def _motion(data: ReportData) -> str:
         enough = sum(value >= need for value in result.observability.excitation_deg)
         reading = (f'Axes with the needed {need:.2g} deg: {enough} of 3; at least 2 are needed, '
                    'because a rotation says nothing about the translation along its own axis.')
-    key = legend(('x', 'x'), ('y', 'y'), ('z', 'z'))
     growth = data.parts.growth_std
     gain = 'The drive is too short for this figure.'
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
@@ -67,30 +71,27 @@ def _motion(data: ReportData) -> str:
         gain = (f'The second half of the drive made the deviations {ratio:.2g} times smaller '
                 '(1.4 is usual for more of the same motion).')
     none = np.zeros((6, 6))
-    figures = (
-        figure('motion', draw.rotation_by_axis(data), reading)
-        + figure('translation by time', draw.deviation_over_time(data, rotation=False), gain,
-                 legend=key)
-        + figure('rotation by time', draw.deviation_over_time(data, rotation=True),
-                 'A step down marks a manoeuvre that helped; a flat curve says that more of the '
-                 'same does not.', legend=key)
-        + sensor_views([
-            Mounted(result.frame_a, np.eye(4), none, dict.fromkeys(status, OBSERVED),
-                    'var(--a)'),
-            Mounted(result.frame_b, result.T_a_b,
-                    none if result.covariance is None else result.covariance, status,
-                    'var(--b)')]))
-    return section(2, 'Was the motion enough?', figures)
+    P = none if result.covariance is None else result.covariance
+    figures = figure('motion', draw.rotation_by_axis(data), reading)
+    step = ('A step down marks a manoeuvre that helped; a flat curve says that more of the same '
+            'does not.')
+    for rotation, words in enumerate((gain, step)):
+        figures += figure(
+            'growth', draw.deviation_over_time(data, rotation=bool(rotation)), words,
+            legend=list(zip('xyz', 'xyz', strict=True)), part=PARTS[rotation])
+    return section(2, 'Was the motion enough?', figures + sensor_views([
+        Mounted(result.frame_a, np.eye(4), none, dict.fromkeys(status, OBSERVED), 'var(--a)'),
+        Mounted(result.frame_b, result.T_a_b, P, status, 'var(--b)')]))
 
 
 def _parts(data: ReportData) -> str:
-    if not len(data.parts.scales_s):
+    if not data.parts.names:
         return section(3, 'Do parts of the data agree?',
                        '<div class="card"><p>The drive is too short to be divided.</p></div>')
     figures = ''.join(
-        figure('part', draw.part_plot(data, k), _agreement(data, k),
-               number=draw.AXES[k].capitalize() if k >= 3 else f'Translation {draw.AXES[k]}')
-        for k in range(6))
+        figure('part', draw.part_plot(data, k), _agreement(data.parts, k),
+               number=name.capitalize() if k >= 3 else f'Translation {name}')
+        for k, name in enumerate(draw.AXES))
     return section(
         3, 'Do parts of the data agree?', figures,
         'The extrinsic again from each quarter of the drive (Q1 to Q4) and from motions of one '
@@ -98,46 +99,44 @@ def _parts(data: ReportData) -> str:
         'standard deviations of the answer. "?": this part alone does not determine it.')
 
 
-def _agreement(data: ReportData, k: int) -> str:
-    found = data.of_parts(k)
-    if found.unobserved:
+def _agreement(parts: Parts, k: int) -> str:
+    if parts.unobserved[k]:
         return 'Not determined by the motion.'
-    if not found.known.any():
+    if not parts.known[:, k].any():
         return 'No part alone determines it.'
-    if not found.far.any():
-        return f'All {int(found.known.sum())} parts that determine it agree.'
-    names = (name if name.startswith('Q') else f'{name} s'
-             for name in np.array(found.names)[found.far])
-    return f'Disagree: {", ".join(names)}.'
+    far = [name if name.startswith('Q') else f'{name} s'
+           for name in np.array(parts.names)[parts.far[:, k]]]
+    return (f'Disagree: {", ".join(far)}.' if far else
+            f'All {parts.known[:, k].sum()} parts that determine it agree.')
 
 
 def _residuals(data: ReportData) -> str:
-    found, metrics = data.residuals, data.result.metrics
+    found, result = data.residuals, data.result
     values, z = found.of_used()
     figures = ''
-    for k in range(6):
+    for k, name in enumerate(draw.AXES):
         rms = np.sqrt(np.mean(values[:, k] ** 2))
         figures += figure(
             'residual', draw.residual_over_time(data, k),
             f'Root mean square {rms:.2g} {draw.unit_of(k)}; '
             f'{100 * np.mean(np.abs(z[:, k]) > 3):.2g} % beyond 3 standard deviations.',
-            number=draw.AXES[k])
+            number=name)
     figures += figure(
         'histogram', draw.histogram(data),
         f'Root mean square {np.sqrt(np.mean(np.minimum(z**2, 25))):.2g} (1 expected); '
         f'{100 * np.mean(np.abs(z) > 3):.2g} % beyond 3 ({100 * _NORMAL_TAIL:.1g} % expected).',
-        legend=legend(('a', 'translation'), ('b', 'rotation'), ('noise', 'normal distribution')))
-    for kind, part in enumerate(('Translation', 'Rotation')):
-        reading, median = 'The drive is too short for this figure.', found.by_scale[:, kind, 2]
-        if len(median):
-            reading = 'Median ' + ', '.join(
-                f'{median[end]:.2g} {"deg" if kind else "m"} over {found.scales_s[end]:g} s'
-                for end in (0, -1)) + '.'
-        figures += figure('residual by scale', draw.box_by_scale(data, kind), reading, part=part)
-    lead = (f'Motions {reference_words(data.result.reference or data.result.config.reference)}: '
-            f'mean {metrics.e_rt:.3g} m, {np.rad2deg(metrics.e_rR):.3g} deg per motion. This is '
-            'the fit, not the accuracy of the extrinsic.')
-    return section(4, 'Residuals', figures, lead)
+        legend=[('a', 'translation'), ('b', 'rotation'), ('noise', 'normal distribution')])
+    for kind, part in enumerate(PARTS if len(found.scales_s) else ()):
+        reading = ', '.join(
+            f'{found.by_scale[end, kind, 2]:.2g} {draw.unit_of(3 * kind)} over '
+            f'{found.scales_s[end]:g} s' for end in (0, -1))
+        figures += figure('residual by scale', draw.box_by_scale(data, kind),
+                          f'Median {reading}.', part=part)
+    return section(
+        4, 'Residuals', figures,
+        f'Motions {reference_words(result.reference or result.config.reference)}: mean '
+        f'{result.metrics.e_rt:.3g} m, {np.rad2deg(result.metrics.e_rR):.3g} deg per motion. '
+        'This is the fit, not the accuracy of the extrinsic.')
 
 
 def _clocks(data: ReportData) -> str:
@@ -148,7 +147,7 @@ def _clocks(data: ReportData) -> str:
     figures = figure(
         'rates', draw.rates(clocks), f'The {clocks.seconds[-1] - clocks.seconds[0]:.0f} s '
         f'with the most rotation; {applied}.',
-        legend=legend(('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}')))
+        legend=[('a', f'a: {result.frame_a}'), ('b', f'b: {result.frame_b}')])
     if len(clocks.offsets_s):
         best = int(np.argmax(clocks.correlation))
         off, cell = clocks.offsets_s[best], clocks.offsets_s[1] - clocks.offsets_s[0]
@@ -160,8 +159,8 @@ def _clocks(data: ReportData) -> str:
         'times', draw.gap_strip(clocks),
         f'{counted(gaps, "gap")}; {result.poses:,} pose pairs of {result.association.poses_a:,} '
         f'poses of a and {result.association.poses_b:,} of b.')
-    if len(scale.seconds):
+    if len(scale) > 1:
         figures += figure(
             'scale', draw.scale_over_path(scale), f'Scale of b {result.scale:.6g}; it varies by '
-            f'{100 * np.ptp(scale.ratio):.2g} % over the drive.')
+            f'{100 * np.ptp(scale[:, 1]):.2g} % over the drive.')
     return section(5, 'Clock and scale', figures, columns=2)

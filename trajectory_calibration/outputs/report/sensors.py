@@ -17,9 +17,6 @@ from trajectory_calibration.outputs.report.page import figure
 _WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
 # Length of the axes of a sensor, in the picture.
 _ARM = 22
-# An ellipse smaller than this is drawn larger, and said so.
-_VISIBLE = 5.0
-_FACTORS = [factor * 10**power for power in range(4) for factor in (1, 2, 5)]
 # Least metres that fill a view.
 _LEAST = 0.06
 # Share of the width from which on a name stands to the left of its sensor.
@@ -59,19 +56,19 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
                        (_HEIGHT - 2 * _MARGIN) / extent[1:].max()))
     figures = ''
     for axes, along in (([0, 1], 'z'), ([0, 2], 'y'), ([1, 2], 'x')):
-        scene = Scene(f'sensors seen along {along}', _WIDTH, _HEIGHT,
-                      0.5 * (low + high)[axes], pixels)
+        scene = Scene(_WIDTH, _HEIGHT, 0.5 * (low + high)[axes], pixels)
         scene.legend(*('xyz'[axis] for axis in axes))
-        regions = [ellipse(item[np.ix_(axes, axes)]) for item in P]
-        size = np.abs(regions).max() * pixels
-        # How much they must grow to be seen; those of no size never are.
-        larger = next((factor for factor in _FACTORS if size * factor >= _VISIBLE), 1)
-        if larger > 1:
-            scene.text(_WIDTH - 6, 12, f'ellipses drawn {larger} times as large', 'end')
-        for sensor, place, region in zip(sensors, places[:, axes], regions, strict=True):
-            _draw(scene, sensor, axes, place, larger * region)
+        for sensor, place, part in zip(sensors, places[:, axes], P, strict=True):
+            _draw(scene, sensor, axes, place, part[np.ix_(axes, axes)])
+        for k, (sensor, (x, y)) in enumerate(zip(
+                sensors, scene.place(places[:, axes]), strict=True)):
+            words = f' ({", ".join(sensor.unobserved)} unknown)' if sensor.unobserved else ''
+            at_right = x > _AT_RIGHT * _WIDTH
+            # One name above its sensor, the next one below: those of neighbours stand apart.
+            scene.text(x + (-7 if at_right else 7), y + (16 if k % 2 else -7),
+                       sensor.name + words, 'end' if at_right else 'start')
         unobserved = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors
-                            if (names := sensor.unobserved))
+                               if (names := sensor.unobserved))
         where = ' along the stripe' if not known[:, axes].all() else ''
         figures += figure(
             'sensors', scene, f'{unobserved}: unknown{where}.' if unobserved else
@@ -81,19 +78,15 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
 
 
 def _draw(
-    scene: Scene, sensor: Mounted, axes: list[int], place: FloatArray, region: FloatArray,
+    scene: Scene, sensor: Mounted, axes: list[int], place: FloatArray, covariance: FloatArray,
 ) -> None:
-    x, y = scene.place(place)
+    x, y = at = scene.place(place)
     if 'xyz'[axes[0]] in sensor.unobserved:
         scene.box(0, y - 7, _WIDTH, 14, 'unobserved')
     if 'xyz'[axes[1]] in sensor.unobserved:
         scene.box(x - 7, 0, 14, _HEIGHT, 'unobserved')
-    if region.any():
-        scene.line(place + region, 'ellipse', f'stroke:{sensor.colour}', closed=True)
+    if covariance.any():
+        scene.line(place + ellipse(covariance), 'ellipse', f'stroke:{sensor.colour}', closed=True)
     scene.line(np.stack([np.zeros(2), place]), 'lever')
     scene.axes(place, sensor.T[axes, :3], _ARM / scene.pixels)
-    scene.dot(place, 4, css=f'fill:{sensor.colour}')
-    words = f' ({", ".join(sensor.unobserved)} unknown)' if sensor.unobserved else ''
-    at_right = x > _AT_RIGHT * _WIDTH
-    scene.text(x + (-7 if at_right else 7), y - 7, sensor.name + words,
-               'end' if at_right else 'start')
+    scene.dot(at, 4, css=f'fill:{sensor.colour}')

@@ -72,8 +72,7 @@ class Tracks:
         self, i: Indices, j: Indices,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the (M, 4, 4) motions of both from poses i to j, and (M, 6) ``log(A^-1 C)``."""
-        A, C = (se3.inverse(poses[i]) @ poses[j] for poses in (self.pairs.poses_a, self.poses_c))
-        return A, C, se3.log_se3(se3.inverse(A) @ C)
+        return _motions(self.pairs.poses_a, self.poses_c, i, j)
 
     def covariance(
         self, T_a_b: FloatArray, A: FloatArray, i: Indices, j: Indices,
@@ -83,22 +82,23 @@ class Tracks:
         The noise of the first pose reaches the translation through the length of the motion, that
         of the way through a third of its square.
         """
-        Ad = se3.adjoint(T_a_b)
-        # Half of a variance of translation, and of rotation, is of each sensor, in its own axes.
-        unit = np.stack([0.5 * (own + Ad @ own @ Ad.T) for own in np.stack([
-            np.diag(np.repeat(part, 3)) for part in ([1.0, 0.0], [0.0, 1.0])])])
+        X = se3.adjoint(T_a_b)
+
+        def of_both(variances: FloatArray) -> FloatArray:
+            """Return what half of (..., 2) variances, of each sensor in its own axes, make."""
+            own = 0.5 * np.repeat(variances, 3, axis=-1)[..., None] * np.eye(6)
+            return own + X @ own @ X.T
+
         seconds = self.seconds[j] - self.seconds[i]
         both = np.stack([np.interp(seconds, self.noise[:, 0], variance)
                          for variance in self.noise[:, 1:].T**2], axis=-1)
         pose = 0.5 * self.noise[0, 1:]**2
-        white = np.tensordot(pose, unit, axes=1)
-        drift = np.tensordot(np.maximum(both - 2 * pose, 0.0), unit, axes=1)
-        far = se3.adjoint(se3.inverse(A))
+        white, drift = of_both(pose), of_both(np.maximum(both - 2 * pose, 0.0))
         near = A.copy()
         near[:, :3, 3] /= np.sqrt(3.0)
-        Ad = se3.adjoint(se3.inverse(near))
+        far, near = se3.adjoint(se3.inverse(A)), se3.adjoint(se3.inverse(near))
         return (white + far @ white @ np.swapaxes(far, 1, 2)
-                + Ad @ drift @ np.swapaxes(Ad, 1, 2))
+                + near @ drift @ np.swapaxes(near, 1, 2))
 
 
 def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
@@ -140,26 +140,30 @@ def _noise(result: CalibrationResult, pairs: PosePairs, poses_c: FloatArray) -> 
             apart = None if known is None else known.apart
     if apart is None:
         # Too few poses for a model: what the steps differ by.
-        steps = _parted(pairs.poses_a, poses_c).reshape(-1, 2, 3)
+        steps = _steps_apart(pairs, poses_c).reshape(-1, 2, 3)
         apart = [[0.0, *np.sqrt(np.mean(steps**2, axis=(0, 2)))]]
     return np.maximum(apart, [0.0, _LEAST_NOISE, _LEAST_NOISE])
 
 
-def _parted(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
-    """Return (K - 1, 6), by how much the steps of two differ."""
-    A, C = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (poses_a, poses_c))
-    return se3.log_se3(se3.inverse(A) @ C)
+def _motions(
+    poses_a: FloatArray, poses_c: FloatArray, i: Indices, j: Indices,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    A, C = (se3.inverse(poses[i]) @ poses[j] for poses in (poses_a, poses_c))
+    return A, C, se3.log_se3(se3.inverse(A) @ C)
+
+
+def _steps_apart(pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
+    """Return (K - 1, 6), by how much the steps of both differ."""
+    i = np.arange(len(pairs) - 1)
+    return _motions(pairs.poses_a, poses_c, i, i + 1)[2]
 
 
 def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
     """Return the indices of the pairs after which one of the sensors has a gap."""
-    middles = []
-    for trajectory in trajectories:
-        long = np.flatnonzero(trajectory.gaps)
-        middles.append(trajectory.stamps_ns[long] + np.diff(trajectory.stamps_ns)[long] // 2)
-    middle = np.concatenate(middles)
-    inside = middle[(middle > pairs.stamps_ns[0]) & (middle < pairs.stamps_ns[-1])]
-    return np.unique(np.searchsorted(pairs.stamps_ns, inside) - 1)
+    middles = np.concatenate([
+        (item.stamps_ns[:-1] + np.diff(item.stamps_ns) // 2)[item.gaps] for item in trajectories])
+    before = np.unique(np.searchsorted(pairs.stamps_ns, middles) - 1)
+    return before[(before >= 0) & (before < len(pairs) - 1)]
 
 
 def _without_drift(poses_b: FloatArray, drift: Sequence[float]) -> FloatArray:
@@ -209,13 +213,7 @@ def _jumps(
     named: Sequence[dict[str, Any]], pairs: PosePairs, poses_c: FloatArray,
 ) -> Indices:
     """Return the indices of the poses after a jump: named by the solver, or large."""
-    stamps = np.array([jump['stamp_ns'] for jump in named], dtype=np.int64)
-    after = np.clip(np.searchsorted(pairs.stamps_ns, stamps), 1, len(pairs) - 1)
-    before = np.maximum(after - 1, 1)
-    nearer = np.abs(pairs.stamps_ns[before] - stamps) < np.abs(pairs.stamps_ns[after] - stamps)
-    parted = _parted(pairs.poses_a, poses_c)
-    found = np.zeros(len(parted), dtype=bool)
-    for part in (parted[:, :3], parted[:, 3:]):
-        size = np.linalg.norm(part, axis=1)
-        found |= size > max(_JUMP * np.median(size), 1e-9)
-    return np.union1d(np.where(nearer, before, after), np.flatnonzero(found) + 1)
+    nearest = [np.abs(pairs.stamps_ns[1:] - jump['stamp_ns']).argmin() for jump in named]
+    size = np.linalg.norm(_steps_apart(pairs, poses_c).reshape(-1, 2, 3), axis=2)
+    large = (size > np.maximum(_JUMP * np.median(size, axis=0), 1e-9)).any(axis=1)
+    return 1 + np.union1d(np.array(nearest, dtype=np.intp), np.flatnonzero(large))

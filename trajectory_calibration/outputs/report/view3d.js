@@ -1,164 +1,109 @@
-// The two tracks in a view that is turned by dragging. Orthographic: lengths can be compared.
+// Turns the drawing of the two tracks by dragging. Orthographic: lengths can be compared.
 (() => {
   const view = document.getElementById('view');
   if (!view) return;
   const data = JSON.parse(document.getElementById('tracks').textContent);
-  const canvas = document.createElement('canvas');
-  const context = canvas.getContext && canvas.getContext('2d');
-  if (!context) return;
-  canvas.setAttribute('aria-label', 'Both tracks; drag to turn, wheel or pinch to zoom');
-  canvas.tabIndex = 0;
-  view.append(canvas);
-  view.classList.add('live');
-  for (const name of ['a', 'b', 'jumps']) {
-    const points = data[name];
-    for (let k = 3; k < points.length; k += 1) points[k] += points[k - 3];
-  }
-  const start = { yaw: -0.6, pitch: 0.9, zoom: 1, x: 0, y: 0 };
-  let camera = { ...start };
+  const svg = view.querySelector('svg');
+  svg.setAttribute('aria-label', 'Both tracks; drag to turn, wheel or pinch to zoom');
+  svg.tabIndex = 0;
+  const unpacked = (steps) => {
+    const points = [];
+    for (let k = 0, at = [0, 0, 0]; k < steps.length; k += 3) {
+      at = at.map((value, n) => value + steps[k + n]);
+      points.push(at);
+    }
+    return points;
+  };
+  const a = unpacked(data.a), b = unpacked(data.b), jumps = unpacked(data.jumps);
+  const gaps = new Set(data.gaps);
+  const views = {
+    '3-D': [-0.6, 0.9], Top: [0, Math.PI / 2], Front: [0, 0], Side: [Math.PI / 2, 0],
+  };
+  let camera, base;
   const tools = document.createElement('div');
   tools.className = 'tools';
-  const views = {
-    '3-D': start,
-    Top: { yaw: 0, pitch: Math.PI / 2, zoom: 1, x: 0, y: 0 },
-    Front: { yaw: 0, pitch: 0, zoom: 1, x: 0, y: 0 },
-    Side: { yaw: Math.PI / 2, pitch: 0, zoom: 1, x: 0, y: 0 },
-  };
-  for (const [name, to] of Object.entries(views)) {
+  for (const [name, [yaw, pitch]] of Object.entries(views)) {
     const button = document.createElement('button');
     button.type = 'button';
     button.textContent = name;
-    button.addEventListener('click', () => { camera = { ...to }; fit(); draw(); });
+    button.addEventListener('click', () => {
+      camera = { yaw, pitch, zoom: 1, x: 0, y: 0 };
+      refresh();
+    });
     tools.append(button);
   }
   view.append(tools);
 
-  function axes() {
-    const { yaw, pitch } = camera;
-    const cy = Math.cos(yaw), sy = Math.sin(yaw), cp = Math.cos(pitch), sp = Math.sin(pitch);
-    // Rows: to the right, up; world z is up where pitch is 0.
-    return [[cy, sy, 0], [-sy * sp, cy * sp, cp]];
+  // To the right and down; world z is up where pitch is 0.
+  function turned([x, y, z]) {
+    const cy = Math.cos(camera.yaw), sy = Math.sin(camera.yaw);
+    const cp = Math.cos(camera.pitch), sp = Math.sin(camera.pitch);
+    return [cy * x + sy * y, sy * sp * x - cy * sp * y - cp * z];
   }
-  function project(points) {
-    const [right, up] = axes();
-    const out = new Float64Array(points.length / 3 * 2);
-    for (let k = 0, n = 0; k < points.length; k += 3, n += 2) {
-      const x = points[k], y = points[k + 1], z = points[k + 2];
-      out[n] = right[0] * x + right[1] * y + right[2] * z;
-      out[n + 1] = -(up[0] * x + up[1] * y + up[2] * z);
-    }
-    return out;
-  }
-  let base = { scale: 1, x: 0, y: 0 };
-  function fit() {
-    let box = [Infinity, Infinity, -Infinity, -Infinity];
-    for (const points of [data.a, data.b]) {
-      const flat = project(points);
-      for (let n = 0; n < flat.length; n += 2) {
-        box = [Math.min(box[0], flat[n]), Math.min(box[1], flat[n + 1]),
-          Math.max(box[2], flat[n]), Math.max(box[3], flat[n + 1])];
-      }
-    }
-    const width = canvas.clientWidth - 56, height = canvas.clientHeight - 96;
+  function refresh() {
+    const flat = [...a, ...b].map(turned);
+    const [left, right] = [Math.min, Math.max].map((f) => f(...flat.map((point) => point[0])));
+    const [top, bottom] = [Math.min, Math.max].map((f) => f(...flat.map((point) => point[1])));
     base = {
-      scale: Math.min(width / Math.max(box[2] - box[0], 1), height / Math.max(box[3] - box[1], 1)),
-      x: (box[0] + box[2]) / 2, y: (box[1] + box[3]) / 2,
+      scale: Math.min((svg.clientWidth - 56) / Math.max(right - left, 1),
+        (svg.clientHeight - 96) / Math.max(bottom - top, 1)),
+      x: (left + right) / 2, y: (top + bottom) / 2,
     };
-  }
-  function round(value) {
-    const power = 10 ** Math.floor(Math.log10(value));
-    return power * [5, 2, 1].find((factor) => factor * power <= value);
+    draw();
   }
   function draw() {
-    const ratio = window.devicePixelRatio || 1;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    if (canvas.width !== Math.round(width * ratio)
-        || canvas.height !== Math.round(height * ratio)) {
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-    }
-    const style = getComputedStyle(document.documentElement);
-    const colour = (name) => style.getPropertyValue(name).trim();
+    const width = svg.clientWidth, height = svg.clientHeight;
     const scale = base.scale * camera.zoom;
-    context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.clearRect(0, 0, width, height);
-    context.lineJoin = 'round';
-    const place = (flat, n) => [(flat[n] - base.x) * scale + width / 2 + camera.x,
-      (flat[n + 1] - base.y) * scale + height / 2 + 12 + camera.y];
-    const gaps = new Set(data.gaps);
-    for (const [points, name, thick, alpha] of [[data.b, '--b', 3, 0.6], [data.a, '--a', 1.4, 1]]) {
-      const flat = project(points);
-      context.strokeStyle = colour(name);
-      context.lineWidth = thick;
-      context.globalAlpha = alpha;
-      for (const dashed of [false, true]) {
-        context.setLineDash(dashed ? [4, 5] : []);
-        context.beginPath();
-        let pen = false;
-        for (let k = 0; k + 1 < flat.length / 2; k += 1) {
-          if (gaps.has(k) !== dashed) { pen = false; continue; }
-          if (!pen) context.moveTo(...place(flat, 2 * k));
-          context.lineTo(...place(flat, 2 * k + 2));
-          pen = true;
-        }
-        context.stroke();
+    const place = (point) => {
+      const [x, y] = turned(point);
+      return [((x - base.x) * scale + width / 2 + camera.x).toFixed(1),
+        ((y - base.y) * scale + height / 2 + 12 + camera.y).toFixed(1)];
+    };
+    const path = (style, d) => `<path class="${style}" d="${d || 'M0 0'}"/>`;
+    const text = (x, y, words) => `<text class="note" x="${x}" y="${y}">${words}</text>`;
+    const dot = (style, [x, y], r) => `<circle class="${style}" cx="${x}" cy="${y}" r="${r}"/>`;
+    const track = (style, points) => {
+      const at = points.map(place), d = ['', ''];
+      for (let k = 0; k + 1 < at.length; k += 1) {
+        const pen = k > 0 && gaps.has(k) === gaps.has(k - 1);
+        d[Number(gaps.has(k))] += `${pen ? '' : `M${at[k]}`}L${at[k + 1]}`;
       }
-    }
-    context.globalAlpha = 1;
-    context.setLineDash([]);
-    context.fillStyle = colour('--jump');
-    const jumps = project(data.jumps);
-    for (let n = 0; n < jumps.length; n += 2) {
-      const [x, y] = place(jumps, n);
-      context.beginPath();
-      context.arc(x, y, 3.2, 0, 7);
-      context.fill();
-    }
-    const first = project(data.a.slice(0, 3));
-    const [x, y] = place(first, 0);
-    context.beginPath();
-    context.arc(x, y, 4.5, 0, 7);
-    context.fillStyle = colour('--card');
-    context.fill();
-    context.strokeStyle = colour('--ink');
-    context.lineWidth = 1.5;
-    context.stroke();
-    context.font = '12px system-ui, sans-serif';
-    context.fillStyle = colour('--ink');
-    context.fillText('start', x + 8, y - 6);
+      return path(style, d[0]) + path(`${style} dashed`, d[1]);
+    };
+    const start = place(a[0]);
     // A scale bar, and the axes of the world of a.
     const metres = data.size / data.grid / scale;
-    const bar = round(metres * width / 5);
-    context.strokeStyle = colour('--soft');
-    context.lineWidth = 1;
-    context.beginPath();
-    context.moveTo(12, height - 16);
-    context.lineTo(12, height - 11);
-    context.lineTo(12 + bar / metres, height - 11);
-    context.lineTo(12 + bar / metres, height - 16);
-    context.stroke();
-    context.fillText(bar >= 1 ? `${bar} m` : `${Math.round(bar * 1e4) / 10} mm`, 16, height - 18);
-    const [right, up] = axes();
-    data.axes.forEach((axis, k) => {
-      const dx = 24 * right[k], dy = -24 * up[k];
-      if (Math.hypot(dx, dy) < 4) return;
-      const ox = width - 44, oy = height - 40;
-      context.strokeStyle = colour(`--${axis.slice(-1)}`);
-      context.lineWidth = 2;
-      context.beginPath();
-      context.moveTo(ox, oy);
-      context.lineTo(ox + dx, oy + dy);
-      context.stroke();
-      context.fillStyle = colour('--soft');
-      context.fillText(axis, ox + dx * 1.35 - 3, oy + dy * 1.35 + 4);
-    });
+    const power = 10 ** Math.floor(Math.log10(metres * width / 5));
+    const bar = power * [5, 2, 1].find((factor) => factor * power <= metres * width / 5);
+    const [ox, oy] = [width - 44, height - 40];
+    svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
+    svg.innerHTML = track('line-b wide', b) + track('line-a', a)
+      + jumps.map((point) => dot('jump', place(point), 3.4)).join('')
+      + dot('start', start, 5) + text(Number(start[0]) + 8, Number(start[1]) - 6, 'start')
+      + path('axis', `M12 ${height - 16}v5h${bar / metres}v-5`)
+      + text(16, height - 18, bar >= 1 ? `${bar} m` : `${Math.round(bar * 1e4) / 10} mm`)
+      + data.axes.map((axis, k) => {
+        const [x, y] = turned([0, 1, 2].map((n) => 24 * (n === k)));
+        return Math.hypot(x, y) < 4 ? '' : path(`axis-${axis.slice(-1)}`, `M${ox} ${oy}l${x} ${y}`)
+          + text(ox + x * 1.35 - 3, oy + y * 1.35 + 4, axis);
+      }).join('');
+  }
+  function turn(yaw, pitch) {
+    camera.yaw += yaw;
+    camera.pitch = Math.min(Math.PI / 2, Math.max(-Math.PI / 2, camera.pitch + pitch));
+  }
+  function zoom(factor) {
+    const next = Math.min(200, Math.max(0.3, camera.zoom * factor));
+    camera.x *= next / camera.zoom;
+    camera.y *= next / camera.zoom;
+    camera.zoom = next;
   }
   const pointers = new Map();
-  canvas.addEventListener('pointerdown', (event) => {
-    canvas.setPointerCapture(event.pointerId);
+  svg.addEventListener('pointerdown', (event) => {
+    svg.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
-  canvas.addEventListener('pointermove', (event) => {
+  svg.addEventListener('pointermove', (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return;
     const dx = event.clientX - before[0], dy = event.clientY - before[1];
@@ -171,42 +116,30 @@
       camera.x += dx;
       camera.y += dy;
     } else {
-      camera.yaw -= dx * 0.008;
-      camera.pitch = Math.min(Math.PI / 2, Math.max(-Math.PI / 2, camera.pitch + dy * 0.008));
+      turn(-0.008 * dx, 0.008 * dy);
     }
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
     draw();
   });
   for (const name of ['pointerup', 'pointercancel']) {
-    canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
+    svg.addEventListener(name, (event) => pointers.delete(event.pointerId));
   }
-  function zoom(factor) {
-    const next = Math.min(200, Math.max(0.3, camera.zoom * factor));
-    camera.x *= next / camera.zoom;
-    camera.y *= next / camera.zoom;
-    camera.zoom = next;
-  }
-  canvas.addEventListener('wheel', (event) => {
+  svg.addEventListener('wheel', (event) => {
     event.preventDefault();
     zoom(Math.exp(-event.deltaY * 0.0015));
     draw();
   }, { passive: false });
-  canvas.addEventListener('keydown', (event) => {
-    const step = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1],
-      ArrowDown: [0, -0.1] }[event.key];
-    if (step) {
-      camera.yaw += step[0];
-      camera.pitch = Math.min(Math.PI / 2, Math.max(-Math.PI / 2, camera.pitch + step[1]));
-    } else if (event.key === '+' || event.key === '-') {
-      zoom(event.key === '+' ? 1.2 : 1 / 1.2);
-    } else {
-      return;
-    }
+  svg.addEventListener('keydown', (event) => {
+    const keys = {
+      ArrowLeft: () => turn(0.1, 0), ArrowRight: () => turn(-0.1, 0),
+      ArrowUp: () => turn(0, 0.1), ArrowDown: () => turn(0, -0.1),
+      '+': () => zoom(1.2), '-': () => zoom(1 / 1.2),
+    };
+    if (!keys[event.key]) return;
+    keys[event.key]();
     event.preventDefault();
     draw();
   });
-  const refresh = () => { fit(); draw(); };
   window.addEventListener('resize', refresh);
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', draw);
-  refresh();
+  tools.firstChild.click();
 })();

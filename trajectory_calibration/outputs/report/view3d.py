@@ -21,7 +21,7 @@ _MOST_GAPS = 300
 
 
 def track_view(tracks: Tracks) -> str:
-    """Return the view from above, over which a script lays one that can be turned."""
+    """Return the view from above, which a script makes one that can be turned."""
     names, turned = upright(tracks.pairs.poses_a[:, :3, 3])
     a, c = (poses[:, :3, 3] @ turned.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
     # With both ends of each jump and gap.
@@ -42,9 +42,9 @@ def track_view(tracks: Tracks) -> str:
         'jumps': gridded(c[tracks.largest_jumps()]),
         'gaps': np.searchsorted(keep, tracks.gaps).tolist(), 'grid': _GRID, 'axes': names,
     }, separators=(',', ':'))
-    drawn = _from_above(a[:, :2], c[:, :2], keep, tracks).svg()
-    return (f'<div class="view3d" id="view"><div class="static">{drawn}'
-            f'</div><script type="application/json" id="tracks">{words}</script></div>')
+    drawn = _from_above(a[:, :2], c[:, :2], keep, tracks).svg('both tracks from above')
+    return (f'<div class="view3d" id="view">{drawn}'
+            f'<script type="application/json" id="tracks">{words}</script></div>')
 
 
 def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
@@ -65,7 +65,7 @@ def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) 
     width, height = np.ptp(both, axis=0)
     if height > width:
         a, c, both = (np.column_stack([points[:, 1], -points[:, 0]]) for points in (a, c, both))
-    scene = Scene.around(both, 'both tracks from above', WIDE, HIGH)
+    scene = Scene.around(both, WIDE, HIGH)
     # The step over a gap is dashed, and parts the pieces of the track.
     gaps = np.flatnonzero(np.isin(keep, tracks.gaps))
     gaps = gaps[gaps + 1 < len(keep)]
@@ -76,9 +76,9 @@ def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) 
             over = np.stack([points[gaps], points[gaps + 1], broken], axis=1)
             scene.line(over.reshape(-1, 2), f'{style} dashed')
     for point in c[tracks.largest_jumps()]:
-        scene.dot(point, 3.4, 'jump')
-    scene.dot(a[0], 5, 'start')
-    x, y = scene.place(a[0])
+        scene.dot(scene.place(point), 3.4, 'jump')
+    x, y = at = scene.place(a[0])
+    scene.dot(at, 5, 'start')
     scene.text(x + 8, y - 6, 'start')
     scene.scale_bar()
     return scene
@@ -88,8 +88,8 @@ def single_track(positions: FloatArray, style: str) -> Scene:
     """Draw one track along the two axes in which it is longest."""
     axes, turned = upright(positions)
     points = (positions[evenly(len(positions), _POSES)] @ turned.T)[:, :2]
-    scene = Scene.around(points, 'track', 360, 240, margin=18)
+    scene = Scene.around(points, 360, 240)
     scene.line(points, style)
-    scene.dot(points[0], 4, 'start')
+    scene.dot(scene.place(points[0]), 4, 'start')
     scene.legend(axes[0], axes[1])
     return scene
