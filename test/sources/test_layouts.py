@@ -159,6 +159,86 @@ def test_layouts_of_real_tools(tmp_path, names, options):
     assert _is_right(FileSource(_write(tmp_path / 'a.txt', names), **options).load())
 
 
+# What stands above the rows, how a row is written, and the options that are needed.
+EXPORTS = {
+    'AirSim: tabs, an empty field, semicolons in a name': (
+        'VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_X\tQ_Y\tQ_Z\tQ_W\tImageFile',
+        lambda row: '\t'.join(['', *row, 'a.png;b.png']), {}),
+    'tabs, blanks in the names': (
+        ('Time [s]\tPosition X [m]\tPosition Y [m]\tPosition Z [m]\tQuaternion W\tQuaternion X'
+         '\tQuaternion Y\tQuaternion Z\tIs Valid'),
+        lambda row: '\t'.join([*row[:4], row[7], *row[4:7], '1']), {}),
+    'Stray Scanner: columns that are empty at the end': (
+        't, frame, x, y, z, qx, qy, qz, qw, center_x, center_y',
+        lambda row: ', '.join([row[0], '000001', *row[1:], '', '']), {}),
+    'a spreadsheet with decimal commas': (
+        't;x;y;z;qx;qy;qz;qw', lambda row: ';'.join(row).replace('.', ','), {}),
+    'decimal commas between tabs, no heading': (
+        '', lambda row: '\t'.join(row).replace('.', ','), {}),
+    'OptiTrack Motive: lines above the table': (
+        ('Format Version,1.23,Take Name,a\n\n,Type,Rigid Body\n,ID,1,1,1,1,1,1,1,1\n'
+         ',,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error\n'
+         'Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,'),
+        lambda row: ','.join(['7', row[0], *row[4:], *row[1:4], '.0003']),
+        {'columns': '-,t,qx,qy,qz,qw,x,y,z'}),
+    'Argoverse 2: tx_m': (
+        ',timestamp,qx,qy,qz,qw,tx_m,ty_m,tz_m',
+        lambda row: ','.join(['7', row[0], *row[4:], *row[1:4]]), {}),
+    'PlotJuggler: semicolons in the names': (
+        '__time,/o/pose/covariance[0;0],/o/pose/position/x,/o/pose/position/y,/o/pose/position/z,'
+        + ','.join(f'/o/pose/orientation/{axis}' for axis in 'xyzw'),
+        lambda row: ','.join([row[0], '0.1', *row[1:]]), {}),
+    'ros2 topic echo --csv: frames between the numbers': (
+        '', lambda row: ','.join([*row[0].split('.'), 'map', 'base_link', *row[1:], *'000']),
+        {'quaternion_order': 'xyzw'}),
+    'seconds and nanoseconds by their names': (
+        'timestamp_sec,timestamp_nsec,x,y,z,qx,qy,qz,qw',
+        lambda row: ','.join([*row[0].split('.'), *row[1:]]), {}),
+}
+
+
+@pytest.mark.parametrize('encoding', ['utf-8', 'utf-16'])
+@pytest.mark.parametrize('name', EXPORTS)
+def test_tables_as_exporters_write_them(tmp_path, name, encoding):
+    above, write, options = EXPORTS[name]
+    rows = [write(row) for row in zip(*(_column(item, 's') for item in TUM), strict=True)]
+    path = tmp_path / 'a.csv'
+    path.write_text('\n'.join([above, *rows]) + '\n', encoding=encoding)
+    assert _is_right(FileSource(path, **options).load())
+
+
+@pytest.mark.parametrize(('heading', 'names', 'message'), [
+    ('source_timestamp,destination_timestamp,x,y,z,roll,pitch,yaw',
+     't,t,x,y,z,r11,r12,r13', 'names 2 columns for t: source_timestamp, destination_timestamp'),
+    ('time,timestamp_ns,x,y,z,qx,qy,qz,qw', 't,t,x,y,z,qx,qy,qz,qw', 'names 2 columns for t'),
+    ('stamp,p.x,p.y,p.z,q.x,q.y,q.z,q.w,imu.orientation.x',
+     't,x,y,z,qx,qy,qz,qw,r11', 'names 2 columns for qx: q.x, imu.orientation.x'),
+    ('frame,x,y,z,qx,qy,qz,qw', 't,x,y,z,qx,qy,qz,qw', 'carry no time'),
+    (',x,y,z,qx,qy,qz,qw', 't,x,y,z,qx,qy,qz,qw', 'carry no time'),
+    ('Frame,Time,X,Y,Z,W,X,Y,Z,Error', 'number,t,qx,qy,qz,qw,x,y,z,r11', 'the order of'),
+])
+def test_the_option_that_a_heading_asks_for_reads_the_file(tmp_path, heading, names, message):
+    path = _write(tmp_path / 'a.csv', names.split(','), separator=',', heading=heading)
+    with pytest.raises(SourceError, match=message) as caught:
+        FileSource(path).load()
+    columns = re.search(r'--columns ([^\s)]+)', str(caught.value))[1]
+    found = FileSource(path, columns=columns).load()
+    np.testing.assert_array_equal(found.stamps_ns, STAMPS_NS)
+    if 'qx' in columns:
+        np.testing.assert_allclose(found.poses, T, atol=1e-9)
+
+
+def test_two_times_in_microseconds_are_no_seconds_and_nanoseconds(tmp_path):
+    times = 200_000_000 + 50_000 * np.arange(COUNT)
+    rows = [','.join(map(repr, [time, time - 500, *pose])) for time, pose in
+            zip(times.tolist(), POSES.tolist(), strict=True)]
+    path = tmp_path / 'vehicle_odometry.csv'
+    path.write_text('timestamp,timestamp_sample,position[0],position[1],position[2],q[0],q[1],'
+                    'q[2],q[3]\n' + '\n'.join(rows) + '\n', encoding='utf-8')
+    with pytest.raises(SourceError, match=r'9 columns .*; no known layout fits'):
+        FileSource(path).load()
+
+
 @pytest.mark.parametrize('unit', ['ms', 'us', 'ns'])
 def test_the_size_of_the_times_tells_their_unit(tmp_path, unit):
     trajectory = FileSource(_write(tmp_path / 'a.txt', TUM, unit=unit)).load()
@@ -205,6 +285,10 @@ def test_g2o_colmap_nerfstudio_and_numpy(tmp_path):
     g2o = tmp_path / 'graph.g2o'
     edge = 'EDGE_SE3:QUAT 0 1 ' + '0 ' * 28
     g2o.write_text('\n'.join([edge, *reversed(vertices), edge]), encoding='utf-8')
+    assert _is_right(FileSource(g2o, times=times).load())
+    # Whatever its name, and what else it begins with.
+    g2o.write_text('\n'.join(['PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1', *vertices]), encoding='utf-8')
+    g2o = g2o.rename(tmp_path / 'graph.txt')
     assert _is_right(FileSource(g2o, times=times).load())
     with pytest.raises(SourceError, match=r'carry no time \(g2o\); give the file'):
         FileSource(g2o).load()

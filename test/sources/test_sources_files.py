@@ -179,7 +179,8 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'<?xml version="1.0"?>\n<robot/>\n', 'is XML; needed a table of poses'),
     (b'[{"x": 1}]\n', 'is JSON; needed a table of poses'),
     (b'{"x": 1}\n', r'is JSON, but no transforms.json with .* \(frames is missing\)'),
-    (b'1 2 3\n', '3 columns without a heading .*: positions without an orientation'),
+    (b'1 2 3\n', '3 columns and no heading .*: positions without an orientation'),
+    (b'%INSPVASA,1;1,2\n' * 3, r'holds no poses \(48 bytes, all of them comments: # % //\)'),
     (b'1.5,1,2,3,1,0,0,0\n', '8 columns .* separated by commas: .*--quaternion-order'),
     (b'1 2 3 4 0 0 0 1\n', 'poses in 1 of 1 row, needed at least 2; record'),
     (b'1 2 3 4 0 0 0 1\n' * 2, '1 pose with a stamp of its own, needed at least 2'),
@@ -227,6 +228,12 @@ def test_a_compressed_file_is_to_be_unpacked(tmp_path, track, pack):
     path.write_bytes(pack('\n'.join(_tum_rows(*track)).encode()))
     with pytest.raises(SourceError, match=r'a\.tum is compressed; unpack it first'):
         FileSource(path).load()
+
+
+def test_a_workbook_is_to_be_saved_as_csv(tmp_path):
+    (tmp_path / 'a.xlsx').write_bytes(b'PK\x03\x04')
+    with pytest.raises(SourceError, match=r'a\.xlsx is a workbook; save it as CSV'):
+        FileSource(tmp_path / 'a.xlsx').load()
 
 
 @pytest.mark.parametrize('name', ['/trajectory_a', '/lidar/odometry'])

@@ -222,7 +222,7 @@ _ROTATIONS: tuple[tuple[str, str, Read], ...] = (
     ('quaternions in the order w, x, y, z', '--quaternion-order{} wxyz', _reordered(-1)),
     ('quaternions in the order x, y, z, w', '--quaternion-order{} xyzw', _reordered(1)),
     ('rotations of the world in the sensor beside positions of the sensor',
-     'quaternions with x, y and z negated', _conjugated),
+     'its rotations transposed (quaternions with x, y and z negated)', _conjugated),
 )
 _INVERSE = 'inverted poses (of the world in the sensor)', '--invert{}', se3.inverse
 
@@ -327,8 +327,8 @@ def _advice_on_rotations(
     motions = select_motions(pairs, f'B{found.lag}')
     for sensor, poses in ((a, motions.A), (b, motions.B)):
         if np.median(se3.rotation_angle(poses[:, :3, :3])) < _STATIONARY:
-            return (f'{sensor.sensor_frame} alone does not turn: did its SLAM stop, or does it '
-                    'not ride on this vehicle? Check its topic or file')
+            return (f'{sensor.sensor_frame} alone does not turn: did its SLAM stop, does it hold '
+                    'the motions between its poses, or not ride on this vehicle?')
     # The rotations alone may agree.
     for finding in two_worlds(np.eye(4), pairs, (a.sensor_frame, b.sensor_frame)):
         return finding.text[0].upper() + finding.text[1:]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,8 +144,11 @@ class FileSource:
         whole = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
         numbers = table.read_numbers(layout.pose_columns + whole, layout.time, TIME_UNITS[unit])
         values, rest = np.split(numbers.values, [len(layout.pose_columns)], axis=1)
-        raw = RawPoses(_poses(values, layout), kind=counted(table.width, 'column'),
-                       layout=layout.describe())
+        kind, names = counted(table.width, 'column'), layout.names()
+        if layout.time is None and '-' in names.split(','):
+            named = re.sub('(^|,)-', r'\1t', names, count=1)
+            kind += f'; or does one of them hold it? --columns {named}'
+        raw = RawPoses(_poses(values, layout), kind=kind, layout=layout.describe())
         if layout.time is not None:
             raw.poses[~numbers.finite] = np.nan
             raw.stamps_ns = numbers.stamps_ns

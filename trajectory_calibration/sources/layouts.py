@@ -26,6 +26,8 @@ FROM_NUMBERS = 'from the numbers'
 _TOLERANCE = 1e-2
 # Share of the rows that must fit; the others are what a SLAM writes while it is lost.
 _MOST = 0.7
+# What rises faster is no count of seconds.
+_LONGEST_STEP_S = 100.0
 _TUM = 't,x,y,z,qx,qy,qz,qw'
 POSITION, QUATERNION = ('x', 'y', 'z'), ('qx', 'qy', 'qz', 'qw')
 _LAST_COLUMN = ('r14', 'r24', 'r34')
@@ -77,7 +79,7 @@ class Layout:
     def describe(self) -> str:
         """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and how another order is read where it matters."""
         text = f'{self.names()} ({self.source})'
-        if self.source in ('TUM', FROM_NUMBERS) and 'qw' in self.columns:
+        if self.source in ('TUM', 'EuRoC', FROM_NUMBERS) and 'qw' in self.columns:
             order = 'wxyz' if self.columns['qw'] < self.columns['qx'] else 'xyzw'
             text += f'; assumed: {order}. Another order: --quaternion-order'
         return text
@@ -135,7 +137,7 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
     """
     for heading in reversed(headings):
         text = re.sub(r'\s+(?=[\[(])', '', heading.lstrip('#%/ \t"'))
-        names = re.split(r'[,;]' if re.search(r'[,;]', text) else r'\s+', text.strip())
+        names = re.split(next((mark for mark in ',;' if mark in text), r'\s+'), text.strip())
         names = names[:-1] if len(names) == width + 1 and not names[-1].strip() else names
         found: dict[str, list[int]] = {}
         for column, name in enumerate(names):
@@ -144,19 +146,26 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
                 found.setdefault(role, []).append(column)
         if len(names) > width or _layout(dict.fromkeys(found, 0), '') is None:
             continue
-        roles = {}
+        times = [role for role in found if role.startswith('t')]
+        if {*times} == {'t_s', 't_ns'}:
+            found |= {'sec': found.pop('t_s'), 'nsec': found.pop('t_ns')}
+        else:
+            for role in times[1:]:
+                found[times[0]] += found.pop(role)
+        roles, doubled = {}, []
         for role, named in found.items():
             # The time of a message is that of its header, not that of its reception.
             columns = [k for k in named if 'header' in names[k]] or named
-            if len(columns) > 1:
-                raise SourceError(
-                    f'the heading names {len(columns)} columns for {role}: '
-                    f'{", ".join(names[k].strip() for k in columns)}; say which one counts: '
-                    f'--columns with the names of all {width} columns ({_TUM}, - skips one)')
+            doubled += [columns] if len(columns) > 1 else []
             roles[role] = columns[0]
+        said = Layout('', roles).names()
+        if doubled:
+            raise SourceError(
+                f'the heading names {len(doubled[0])} columns for {_role(names[doubled[0][0]])}: '
+                f'{", ".join(names[k].strip() for k in doubled[0])}; say which one counts, for '
+                f'instance --columns {said} (- skips a column)')
         layout = _layout(roles, 'from the heading')
         if layout is not None and 'roll' in layout.columns and 'roll' in roles:
-            said = ','.join(_role(name) or '-' for name in names)
             in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
             raise SourceError('the heading names roll, pitch and yaw without their unit; say '
                               f'--columns {said} (radians) or --columns {in_degrees}')
@@ -176,8 +185,15 @@ def from_numbers(
     Raise SourceError where none fits, several do, or the order of the quaternion is open.
     """
     width = sample.shape[1]
-    seen = f'{counted(width, "column")} without a heading that names them'
-    fitting = [layout for layout in _candidates(width, timed=timed) if _fits(layout, sample)]
+    seen = f'{counted(width, "column")} and no heading that names a pose'
+    # Between the numbers there may be columns of words, such as names of frames.
+    numeric = np.flatnonzero(np.isfinite(sample).any(axis=0))
+    if not len(numeric) or numeric[0]:
+        numeric = np.arange(width)
+    candidates = [replace(layout, columns={
+        name: int(numeric[k]) for name, k in layout.columns.items()})
+        for layout in _candidates(len(numeric), timed=timed)]
+    fitting = [layout for layout in candidates if _fits(layout, sample)]
     # Times from another file stand for those in this one, and the other way round.
     fitting = [layout for layout in fitting if (layout.time is None) == timed] or fitting
     if not fitting and not by_commas and width in _USUAL:
@@ -186,7 +202,7 @@ def from_numbers(
     if not fitting:
         hint = ': column 1 is no number (a date? Write seconds since 1970)' if np.isnan(
             sample[:, 0]).all() else _HINTS.get(width, '')
-        raise SourceError(f'{seen}, and no known layout fits{hint}; say what '
+        raise SourceError(f'{seen}; no known layout fits{hint}; say what '
                           f'they are, for instance --columns {_TUM} (- skips a column)')
     if len(fitting) > 1:
         raise SourceError(f'{seen}, which may be {" or ".join(map(Layout.names, fitting))}; say '
@@ -237,8 +253,9 @@ def _candidates(width: int, *, timed: bool) -> list[Layout]:
         rest = width - len(start)
         # With times from elsewhere, what looks like a time may be the number of the frame.
         has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
-        for pose, fits in ((POSITION + QUATERNION, rest == 7 or (rest > 7 and has_time)),
-                           (QUATERNION + POSITION, rest == 7),
+        usual = rest == 7 or (rest > 7 and has_time)
+        for pose, fits in ((POSITION + QUATERNION, usual),
+                           (QUATERNION + POSITION, usual),
                            (_MATRIX, rest in (12, 16))):
             if fits:
                 found.append(_named(FROM_NUMBERS, start + pose, 's' if 'sec' in start else None))
@@ -261,7 +278,8 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
     if 'nsec' in layout.columns:
         seconds, rest = rows[:, layout.at(('sec', 'nsec'))].T
         whole = (seconds == np.rint(seconds)) & (rest == np.rint(rest))
-        if not (whole & (rest >= 0) & (rest < 1e9)).all() or rest.max() < 1e3:
+        if not (whole & (rest >= 0) & (rest < 1e9)).all() or rest.max() < 1e3 or (
+                seconds[-1] - seconds[0] > _LONGEST_STEP_S * len(seconds)):
             return False
     with np.errstate(over='ignore', invalid='ignore'):
         if layout.at(QUATERNION):
@@ -322,6 +340,8 @@ def _role(name: str) -> str | None:
     text = name.strip().strip('"\'#%').lower()
     unit = (re.findall(r'[\[(]\s*(\w+)\s*[\])]', text) or [''])[-1]
     words = [word for word in re.split(r'[\s._/:-]+', re.sub(r'[\[(].*', '', text)) if word]
+    if words[1:] and words[-1] == 'm':
+        del words[-1]
     if not words or _FOREIGN & set(words):
         return None
     first, last = words[0], words[-1]

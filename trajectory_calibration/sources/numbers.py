@@ -18,7 +18,7 @@ _INT64_MAX = 2**63 - 1
 # What tells a date, or a time of day, from a number: 10:15.
 _CLOCK = re.compile(r'\d:\d\d')
 # What writers of tables put where there is no number.
-_MISSING = {'', 'none', 'null', 'na', 'n/a', 'nat'}
+_MISSING = {'', 'none', 'null', 'na', 'n/a', 'nat', 'nan(ind)', '-nan(ind)'}
 
 
 class NotANumberError(ValueError):

@@ -95,7 +95,7 @@ def structure_of(path: Path, beginning: bytes) -> str | None:
     """Return which of the ``STRUCTURED`` a text is, None for a table."""
     if path.suffix == '.json' or beginning.lstrip().startswith(b'{'):
         return 'nerfstudio'
-    if path.suffix == '.g2o' or beginning.lstrip().startswith((b'VERTEX_', b'EDGE_')):
+    if path.suffix == '.g2o' or b'VERTEX_SE' in beginning or b'EDGE_SE' in beginning:
         return 'g2o'
     if b'IMAGE_ID' in beginning and b'CAMERA_ID' in beginning:
         return 'colmap'

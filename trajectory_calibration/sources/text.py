@@ -25,8 +25,11 @@ BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.zstd', '.zst')
 _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 _LFS = b'version https://git-lfs.github.com/spec/'
 _COMMENTS = (b'#', b'%', b'//')
+_WORDS = re.compile(r'[,;\s]+')
 # How XML and JSON begin.
 _FOREIGN = re.compile(rb'\s*(<|\[?\s*\{)')
+# A number with a comma before its decimals, as spreadsheets of many countries write it.
+_DECIMAL_COMMA = re.compile(rb'[-+]?\d+,\d+([eE][-+]?\d+)?')
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
 # Bytes that are read at once, which the caches of a processor hold.
@@ -79,19 +82,29 @@ class Table:
                     if line.strip() and not line.lstrip().startswith(_COMMENTS)]
             body, numbers = b''.join(lines[row] for row in rows), [numbers[row] for row in rows]
         if not body or body.isspace():
-            raise SourceError(f'{path} holds no poses ({len(data)} bytes)')
+            marked = headings and all(line.encode().startswith(_COMMENTS) for line in headings)
+            raise SourceError(f'{path} holds no poses ({len(data)} bytes'
+                              f'{", all of them comments: # % //" if marked else ""})')
+        notes = []
         line = body[:body.index(b'\n')]
-        if b';' in line:
-            if b',' in line:
-                raise SourceError(f'{path}, line {numbers[0]}: commas and semicolons; write '
-                                  'decimals with a point')
-            body, line = body.replace(b';', b','), line.replace(b';', b',')
-        if line.rstrip().endswith(b','):
+        fields = re.split(rb'[;\s]+', line.strip())
+        if len(fields) > 1 and b',' in line and all(
+                map(_DECIMAL_COMMA.fullmatch, (field for field in fields if b',' in field))):
+            body, line = body.replace(b',', b'.'), line.replace(b',', b'.')
+            notes.append('decimal commas: read as points')
+        # Fields may be empty, and names hold blanks, where a heading has as many separators.
+        mark = next((mark for mark in ('\t', ';') if mark.encode() in line), ',')
+        like_heading = any(
+            heading.count(mark) == line.count(mark.encode()) for heading in headings)
+        if b',' not in line and (mark == ';' or like_heading):
+            body, line = (item.replace(mark.encode(), b',') for item in (body, line))
+            headings = [heading.replace(mark, ',') for heading in headings]
+        if line.rstrip().endswith(b',') and not like_heading:
             # A comma behind the last field of all rows means nothing; of some, a field is empty.
             stripped, count = re.subn(rb',[ \t]*\n', b'\n', body)
             body = stripped if count == len(numbers) else body
         separator = ',' if b',' in line else None
-        table = cls(path, body, numbers, headings, separator, 0, complete)
+        table = cls(path, body, numbers, headings, separator, 0, complete, notes)
         counts = [len(row.split(separator)) for row in table.ends()[0]]
         table.width = max(counts, key=counts.count) if len(counts) > 2 else counts[0]
         last = body[body.rfind(b'\n', 0, -1) + 1:].decode(errors='replace')
@@ -180,7 +193,10 @@ def read_bytes(path: Path) -> bytes:
         raise SourceError(f'{path} cannot be read: {error.strerror or error}{topic}') from error
     refuse_pointer(path, data)
     if data.startswith(_PACKED):
-        raise SourceError(f'{path} is compressed; unpack it first')
+        raise SourceError(f'{path} is a workbook; save it as CSV' if path.suffix == '.xlsx' else
+                          f'{path} is compressed; unpack it first')
+    if data.startswith((b'\xff\xfe', b'\xfe\xff')):
+        data = data.decode('utf-16', errors='replace').encode()
     if b'\0' in data:
         raise SourceError(f'{path} is not text: it holds a zero byte at {data.index(0)}; needed '
                           'a table of poses (docs/inputs.md)')
@@ -205,6 +221,9 @@ def shown(text: str | bytes) -> str:
 
 def _headings(data: bytes) -> tuple[list[str], int, int]:
     """Return what stands before the numbers, where they begin, and in which line."""
+    # Above a table whose rows begin with a number, exporters write lines that do not.
+    last = _WORDS.split(data.rstrip()[-_BLOCK:].rpartition(b'\n')[2].decode(errors='replace'))
+    by_first = is_number(last[0])
     headings: list[str] = []
     start, number = 0, 1
     while start < len(data):
@@ -212,8 +231,11 @@ def _headings(data: bytes) -> tuple[list[str], int, int]:
         end = len(data) if end < 0 else end
         comment = data[start:end].lstrip().startswith(_COMMENTS)
         line = data[start:end].decode(errors='replace').strip()
-        if line and not comment and (any(map(is_number, re.split(r'[,;\s]+', line)))
-                                     or any(not item.startswith(('#', '%')) for item in headings)):
+        words = _WORDS.split(line)
+        if line and not comment and (
+                is_number(words[0]) and len(words) >= min(2, len(last)) if by_first else
+                any(map(is_number, words))
+                or any(not item.startswith(('#', '%')) for item in headings)):
             break
         if line:
             headings.append(line)
