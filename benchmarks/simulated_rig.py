@@ -14,7 +14,7 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import hills, Unicycle, Wander
-from trajectory_calibration.simulation.scenario import observe, random_pose, Sensor
+from trajectory_calibration.simulation.scenario import random_pose, Sensor, simulate_sensor
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def simulate_rig(scenario: RigScenario, seed: int) -> SimulatedRig:
             sensor.noise, drift=sensor.noise.drift + abs(float(drift)))
         late = replace(sensor, clock_offset=sensor.clock_offset + fault.late, sensor_frame=name,
                        world_frame=f'{name}_map', noise=noise)
-        trajectories[name] = observe(late, scenario.duration, poses, noise_seed)
+        trajectories[name] = simulate_sensor(late, scenario.duration, poses, noise_seed)
         truth[name] = T_base_sensor
     return SimulatedRig(trajectories, truth)
 

@@ -20,7 +20,7 @@ from trajectory_calibration.geometry.interpolation import left_of
 from trajectory_calibration.simulation import Noise, SCENARIOS, simulate, with_noise
 from trajectory_calibration.time_alignment import align as matching
 from trajectory_calibration.time_alignment import pairing as association
-from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
 
 CUBIC, SYNCHRONISE = association.interpolate, matching.synchronise
 NOISES = {
@@ -34,12 +34,12 @@ NOISES = {
 def geodesic(stamps_ns, poses, at_ns, **_):
     left = left_of(stamps_ns, at_ns)
     fraction = (at_ns - stamps_ns[left]) / (stamps_ns[left + 1] - stamps_ns[left])
-    return se3.interpolate(poses[left], poses[left + 1], fraction)
+    return se3.geodesic(poses[left], poses[left + 1], fraction)
 
 
 def constant_clock(*given):
     clock = SYNCHRONISE(*given)
-    return Clock(clock.offset_s)
+    return ClockCorrection(clock.offset_s)
 
 
 def judge(runs):

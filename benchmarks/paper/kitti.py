@@ -100,7 +100,7 @@ def paper_pairs(a: Trajectory, b: Trajectory) -> PosePairs:
     summary = associate_by_interpolation(a, b, max_gap_ns=None).summary
     left = left_of(a.stamps_ns, b.stamps_ns)
     start_ns, end_ns = a.stamps_ns[left], a.stamps_ns[left + 1]
-    poses_a = se3.interpolate(
+    poses_a = se3.geodesic(
         a.poses[left], a.poses[left + 1], (b.stamps_ns - start_ns) / (end_ns - start_ns))
     return PosePairs(b.stamps_ns, poses_a, b.poses, replace(summary, pairs=len(b)))
 

@@ -31,7 +31,7 @@ from trajectory_calibration.simulation import (
     Wander,
     with_noise,
 )
-from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
 from trajectory_calibration.time_alignment.pairing import associate
 
 # What they hold is arithmetic: one set of dependencies tells it.
@@ -143,14 +143,14 @@ def test_one_vehicle_is_never_suspected(name, seeds):
     for seed in range(seeds):
         run = simulate(scenario, seed)
         pairs = associate(run.a, run.b)
-        assert check_pairs(pairs, run.a, run.b, Clock(0.0), CalibrationConfig()) == ()
+        assert check_pairs(pairs, run.a, run.b, ClockCorrection(0.0), CalibrationConfig()) == ()
         require_fit(run.T_a_b, pairs, ('a', 'b'), 'park')
 
 
 def test_hardly_any_turning_is_not_judged():
     run = simulate(Scenario(10.0, Wander(tilt=0.01, turn=0.01)), 1)
     pairs = associate(run.a, run.b)
-    assert check_pairs(pairs, run.a, run.b, Clock(0.0), CalibrationConfig()) == ()
+    assert check_pairs(pairs, run.a, run.b, ClockCorrection(0.0), CalibrationConfig()) == ()
 
 
 def begun_anew(run, gap_s=600.0):

@@ -138,7 +138,7 @@ def test_jumps_of_a_sensor_do_not_hide_in_the_intervals_beside_them():
 def test_two_poses_have_a_geodesic_between_them():
     stamps_ns, poses = np.array([0, 100]) * MS, curve(np.array([0, 100]) * MS)
     found = interpolate(stamps_ns, poses, np.array([25 * MS]), max_gap_ns=None)
-    np.testing.assert_allclose(found, se3.interpolate(poses[:1], poses[1:], [0.25]), atol=1e-12)
+    np.testing.assert_allclose(found, se3.geodesic(poses[:1], poses[1:], [0.25]), atol=1e-12)
 
 
 @pytest.mark.parametrize('rate', [5.0, 10.0])

@@ -94,7 +94,7 @@ def test_interpolation_is_the_constant_twist():
     twist = rng.normal(size=6)
     for s in (0.0, 0.25, 1.0, 1.5):
         np.testing.assert_allclose(
-            se3.interpolate(start, start @ se3.exp_se3(twist), np.array(s)),
+            se3.geodesic(start, start @ se3.exp_se3(twist), np.array(s)),
             start @ se3.exp_se3(s * twist), atol=1e-12)
 
 

@@ -16,8 +16,8 @@ from trajectory_calibration.online.background import Background, Budget
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.motion import measure, NO_MOTION
 from trajectory_calibration.online.session import CalibrationSession, CalibrationState
-from trajectory_calibration.online.track import Track
-from trajectory_calibration.online.verification import Monitor, MonitorJob, Verdict
+from trajectory_calibration.online.snapshot import Snapshot
+from trajectory_calibration.online.verification import Monitor, MonitorJob, MonitorVerdict
 from trajectory_calibration.online.worker import StoppedError
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
@@ -51,7 +51,7 @@ def drive(seconds, axes=(0, 1, 2), seed=0, rate_hz=10.0, start_s=1000, extrinsic
         track = track @ se3.exp_se3(rng.normal(size=(poses, 6)) * white)
         rows = np.column_stack([track[:, :3, 3], se3.rotation_to_quaternion(track[:, :3, :3])])
         stamps_ns = start_s * SECOND + np.round(time_s * 1e9).astype(np.int64)
-        tracks.append(Track(stamps_ns, rows, *names))
+        tracks.append(Snapshot(stamps_ns, rows, *names))
     return tracks
 
 
@@ -92,7 +92,7 @@ def test_very_many_poses_are_thinned_and_predict_the_same_within_a_fifth():
 
 def test_a_low_rate_is_not_thinned():
     stamps_ns = np.arange(50_000) * SECOND // 10
-    track = Track(stamps_ns, np.zeros((50_000, 7)), 'map', 'lidar')
+    track = Snapshot(stamps_ns, np.zeros((50_000, 7)), 'map', 'lidar')
     assert track.thinned() is track
     assert len(track.after(int(stamps_ns[-11])).stamps_ns) == 10
 
@@ -120,7 +120,7 @@ def test_little_motion_names_the_worst_direction_and_its_deviation():
 
 def test_a_calibration_that_would_fail_is_advice():
     tracks = drive(30)
-    later = Track(tracks[1].stamps_ns + 3600 * SECOND, tracks[1].poses, 'odom', 'camera')
+    later = Snapshot(tracks[1].stamps_ns + 3600 * SECOND, tracks[1].poses, 'odom', 'camera')
     advice = advised([tracks[0], later])
     assert not advice.sufficient(1.0, 10.0)
     assert advice.sentence(0.02, 0.2).startswith('drive on: a calibration would fail now: ')
@@ -286,7 +286,7 @@ def test_the_budget_never_holds_more_than_its_credit():
 
 
 def test_moved_once_is_a_warning_twice_an_error_and_poor_motion_neither():
-    moved, poor, holds = (Verdict(name, status, name) for name, status in (
+    moved, poor, holds = (MonitorVerdict(name, status, name) for name, status in (
         ('moved', 4), ('cannot tell', 3), ('holds', 0)))
     verdict, levels = None, []
     for found in (holds, moved, poor, moved, moved, poor, holds):

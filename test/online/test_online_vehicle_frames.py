@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trajectory_calibration.geometry import se3
-from trajectory_calibration.online.vehicle_frames import difference, VehicleFrames
+from trajectory_calibration.online.vehicle_frames import difference_in_words, VehicleFrames
 
 T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 RNG = np.random.default_rng(4)
@@ -122,6 +122,6 @@ def test_the_transform_of_today_and_how_far_the_answer_is_from_it():
     assert np.allclose(today, T_A_B, atol=1e-12)
     moved = T_A_B.copy()
     moved[:3, 3] += [0.01, 0.0, -0.02]
-    assert difference(moved, today) == (
+    assert difference_in_words(moved, today) == (
         '0.0224 m (x +0.0100, y +0.0000, z -0.0200) and 0.000 deg '
         '(about x +0.000, y +0.000, z +0.000)')

@@ -17,7 +17,7 @@ import pytest
 from trajectory_calibration import CalibrationConfig, SolverError, TrajectoryError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online import worker
-from trajectory_calibration.online.buffer import Track
+from trajectory_calibration.online.buffer import Snapshot
 from trajectory_calibration.online.session import Calibration, CalibrationJob
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 
@@ -27,7 +27,7 @@ T_A_B = se3.exp_se3([0.3, -0.2, 0.1, 0.4, -0.3, 1.2])
 def track(poses, frame):
     q = se3.rotation_to_quaternion(poses[:, :3, :3])
     rows = np.column_stack([poses[:, :3, 3], q])
-    return Track(np.arange(len(poses)) * 10**8, rows, 'map', frame)
+    return Snapshot(np.arange(len(poses)) * 10**8, rows, 'map', frame)
 
 
 def job(poses=60, solver='taylor'):

@@ -17,8 +17,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.outputs.answer import (
     angle_jacobian,
     answer_rows,
-    judge,
     status_sentence,
+    verdict_of,
 )
 from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.screen import format_result, format_transform
@@ -58,7 +58,7 @@ def test_what_is_unobserved_is_no_number():
     assert lines[3].split() == ['z', 'unknown', 'unknown']
     assert lines[5].split()[-1] == 'weak'
     assert format_transform(result).split()[:3] == ['0.200000000', '-1.250000000', 'unknown']
-    verdict = judge(result)
+    verdict = verdict_of(result)
     assert verdict.level == 'incomplete'
     assert '--prior-translation=-,-,Z --prior-translation-std=0.01' in verdict.next_step
 
@@ -142,7 +142,7 @@ def test_statuses_in_one_sentence():
     assert status_sentence(answer_rows(make())) == 'all six numbers ok'
     weak = make(status={'x': 'weak', 'y': 'weak', 'z': 'unobserved'})
     assert status_sentence(answer_rows(weak)) == 'rotation ok; x, y weak; z unknown'
-    assert judge(make(findings=(Finding('clock-ambiguous', 'two clocks'),))).level == 'care'
+    assert verdict_of(make(findings=(Finding('clock-ambiguous', 'two clocks'),))).level == 'care'
 
 
 def test_a_path_is_never_broken_and_text_fits_a_narrow_terminal():

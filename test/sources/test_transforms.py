@@ -56,7 +56,7 @@ def test_between_the_stamps_of_an_edge_it_is_interpolated_as_tf2_does():
     between = poses[2] @ se3.inverse(matrix(odom[2:3]))[0]
     np.testing.assert_allclose(
         between[:3, 3], 0.6 * correction[0, :3] + 0.4 * correction[1, :3], atol=1e-12)
-    arc = se3.interpolate(*matrix(correction[:2]), 0.4)
+    arc = se3.geodesic(*matrix(correction[:2]), 0.4)
     np.testing.assert_allclose(between[:3, :3], arc[:3, :3], atol=1e-12)
 
 

@@ -117,7 +117,7 @@ def test_lidar_at_10_hz_against_keyframes_at_30_hz_just_works():
     b = Trajectory(fine_t[keep], fine[keep] @ X, 'map_b', 'camera')
     a_t = start + 13 * MS + np.arange(390) * 100 * MS
     left = np.searchsorted(fine_t, a_t, side='right') - 1
-    a = Trajectory(a_t, se3.interpolate(
+    a = Trajectory(a_t, se3.geodesic(
         fine[left], fine[left + 1], (a_t - fine_t[left]) / 33_333_333), 'map_a', 'lidar')
     result = calibrate(a, b, CalibrationConfig(solver='dnl', reference='B10'))
     # What is left is the path between two poses of a, of which nothing is known.

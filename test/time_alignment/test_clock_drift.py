@@ -22,7 +22,7 @@ from trajectory_calibration.simulation import (
     Unicycle,
     Wander,
 )
-from trajectory_calibration.time_alignment.clock_offset import Clock, synchronise
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection, synchronise
 
 # What they hold is arithmetic: one set of dependencies tells it.
 pytestmark = pytest.mark.once
@@ -175,7 +175,7 @@ def test_turning_at_a_constant_rate_tells_of_no_drift(white, rate, seeds):
 def test_windows_are_not_in_step_with_the_driver():
     """Turns that change every two seconds, and a window every 0.2: a false 9.5 ms before."""
     run = simulate(drive('offroad', 1200.0), 8)
-    assert clock_of(run) == Clock(0.0)
+    assert clock_of(run) == ClockCorrection(0.0)
 
 
 def test_a_fixed_clock_is_left_alone():

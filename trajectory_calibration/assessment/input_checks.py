@@ -45,7 +45,7 @@ from trajectory_calibration.solvers import (
     solvers_that_estimate,
 )
 from trajectory_calibration.time_alignment.align import match
-from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
 
 # Another reading of the poses is the explanation if it reduces the misfit to this share.
 _MUCH_LESS = 0.2
@@ -92,7 +92,8 @@ def check_orientations(a: Trajectory, b: Trajectory, config: CalibrationConfig) 
 
 
 def check_pairs(
-    pairs: PosePairs, a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+    pairs: PosePairs, a: Trajectory, b: Trajectory, clock: ClockCorrection,
+    config: CalibrationConfig,
 ) -> tuple[Finding, ...]:
     """Raise MotionError if the two cannot be sensors of one vehicle; return findings.
 
@@ -349,7 +350,7 @@ def _advice_on_rotations(
 
 
 def _steady(
-    a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+    a: Trajectory, b: Trajectory, clock: ClockCorrection, config: CalibrationConfig,
 ) -> tuple[Finding, ...]:
     """Check that a large clock offset is steady along the drive."""
     offset_s = clock.offset_s - config.time_offset

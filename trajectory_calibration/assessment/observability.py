@@ -228,7 +228,7 @@ def limits_of(config: CalibrationConfig) -> FloatArray:
                       max(np.deg2rad(config.unobserved_rotation), 1e-3)], 3)
 
 
-def judge(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
+def status_of(config: CalibrationConfig, std: float, *, rotation: bool) -> str:
     """Return the status of a standard deviation, metres or degrees."""
     weak, unobserved = (
         (config.weak_rotation, config.unobserved_rotation) if rotation else
@@ -259,10 +259,10 @@ def _status(
     given = np.isfinite(config.prior.std)
     status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
-        status[name] = judge(config, after[k], rotation=k >= 3)
+        status[name] = status_of(config, after[k], rotation=k >= 3)
         # A prior of one component improves others through their correlation. These come from the
         # prior only if the motion alone did not determine them.
-        doubtful = given[k] or judge(config, before[k], rotation=k >= 3) != OBSERVED
+        doubtful = given[k] or status_of(config, before[k], rotation=k >= 3) != OBSERVED
         dominated = after[k]**2 < _DOMINATED * before[k]**2
         if dominated and doubtful and status[name] != UNOBSERVED:
             status[name] = PRIOR
@@ -277,7 +277,7 @@ def _weak_axes(covariance: FloatArray, config: CalibrationConfig) -> tuple[WeakA
         for variance, axis in zip(variances[::-1], _pointed(axes.T)[::-1], strict=True):
             std = float(np.sqrt(max(variance, 0.0)))
             std = float(np.rad2deg(std)) if rotation else std
-            status = judge(config, std, rotation=rotation)
+            status = status_of(config, std, rotation=rotation)
             if status != OBSERVED:
                 found.append(WeakAxis(kind, tuple(axis.tolist()), std, status))
     return tuple(found)

@@ -18,7 +18,7 @@ from trajectory_calibration.time_alignment.clock_drift import (
     half_width_ns,
     LEAST_WINDOWS,
 )
-from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
 from trajectory_calibration.time_alignment.cross_correlation import cell_between
 from trajectory_calibration.time_alignment.rotation_increments import RotationIncrements
 
@@ -40,7 +40,7 @@ class Steadiness(NamedTuple):
     chi_squared: float
 
 
-def offset_steadiness(a: Trajectory, b: Trajectory, clock: Clock) -> Steadiness | None:
+def offset_steadiness(a: Trajectory, b: Trajectory, clock: ClockCorrection) -> Steadiness | None:
     """Return how steady the clock offset of b is; None if the rotations do not determine it."""
     b = b.retimed(clock.drift, clock.drift_from_ns)
     cell_ns = cell_between(a, b)

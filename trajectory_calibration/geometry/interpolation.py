@@ -68,7 +68,7 @@ def interpolate(
     for start in range(0, len(at_ns), _CHUNK):
         part = slice(start, start + _CHUNK)
         found, near = result[part], left[part]
-        found[:] = se3.interpolate(poses[near], poses[near + 1], since[part] / gap[part])
+        found[:] = se3.geodesic(poses[near], poses[near + 1], since[part] / gap[part])
         between = np.flatnonzero(inside[part])
         if len(between):
             found[between] = _on_cubic(

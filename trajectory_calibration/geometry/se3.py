@@ -266,7 +266,7 @@ def inverse_step(pose: ArrayLike) -> FloatArray:
     return J
 
 
-def interpolate(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
+def geodesic(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArray:
     """Return the (..., 4, 4) poses at ``fraction`` (...) of the geodesic from start to end.
 
     The constant-twist path ``T_0 exp(s log(T_0^-1 T_1))``; a fraction outside [0, 1] continues it.

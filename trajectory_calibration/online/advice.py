@@ -15,7 +15,7 @@ import numpy as np
 from trajectory_calibration.assessment.observability import axis_name, DEGREES_OF_FREEDOM
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.track import Track
+from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
@@ -84,8 +84,8 @@ class Advice:
 class AdviceJob:
     """A calibration for advice, copied at the moment it was asked for."""
 
-    track_a: Track
-    track_b: Track
+    track_a: Snapshot
+    track_b: Snapshot
     config: CalibrationConfig
 
     def run(self) -> Advice:

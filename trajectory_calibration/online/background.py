@@ -17,7 +17,7 @@ from trajectory_calibration.online.advice import Advice, AdviceJob, FEWEST_S
 from trajectory_calibration.online.motion import Motion, NO_MOTION
 from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.online.session import CalibrationSession
-from trajectory_calibration.online.verification import Monitor, MonitorJob, Verdict
+from trajectory_calibration.online.verification import Monitor, MonitorJob, MonitorVerdict
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 
 # Share of one core that all of it may take in the long run, and CPU seconds that may be spent
@@ -57,7 +57,7 @@ class Background:
     def __init__(self, session: CalibrationSession, done: Callable[[], None], now_s: float,
                  monitor: Monitor | None = None) -> None:
         self._session, self.monitor = session, monitor
-        self._process: SolverProcess[Advice | Verdict] = SolverProcess(done)
+        self._process: SolverProcess[Advice | MonitorVerdict] = SolverProcess(done)
         self._budget = Budget(now_s)
         self._ended_s = now_s
         # Motion and settings of the last advice.
@@ -65,7 +65,7 @@ class Background:
         self._settings: tuple[object, ...] = ()
         self._monitoring = False
         self.advice: Advice | None = None
-        self.verdict: Verdict | None = None
+        self.verdict: MonitorVerdict | None = None
 
     def poll(self, motion: Motion, config: CalibrationConfig, frames: tuple[str, str],
              timeout_s: float, now_s: float) -> None:
@@ -90,7 +90,7 @@ class Background:
             self._monitoring = isinstance(job, MonitorJob)
             self._process.start(job, timeout_s)
 
-    def take(self, now_s: float) -> Advice | Verdict | None:
+    def take(self, now_s: float) -> Advice | MonitorVerdict | None:
         """Take what the process found; None where it was stopped."""
         if not self._process.busy:
             return None
@@ -103,8 +103,9 @@ class Background:
             return None
         if isinstance(outcome, CalibrationError):
             # What fails is advice, too; data that give no answer tell nothing of the extrinsic.
-            outcome = (Verdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
-                       else Advice(failure=in_node_words(str(outcome))))
+            outcome = (
+                MonitorVerdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
+                else Advice(failure=in_node_words(str(outcome))))
         if isinstance(outcome, Advice):
             self.advice = outcome
         else:

@@ -23,7 +23,7 @@ from trajectory_calibration.data.trajectory import (
 )
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.online.track import Track
+from trajectory_calibration.online.snapshot import Snapshot
 
 # A stamp this far behind the newest came late; further behind, or this far ahead, either it is
 # wrong or the clock jumped. The poses that follow decide which.
@@ -207,14 +207,14 @@ class PoseBuffer:
                 return strays
         return 0
 
-    def snapshot(self, name: str, sensor_frame: str = '') -> Track:
+    def snapshot(self, name: str, sensor_frame: str = '') -> Snapshot:
         """Return a copy; the sensor is ``sensor_frame``, or as its messages say, or ``name``."""
         world, sensor = self.frames
         frame = sensor_frame or sensor or name
         held = slice(self._start, self._end)
         slashes = ('the leading slash of its frame ids was removed (tf2 refuses it)'
                    if self._slashed else '')
-        return Track(
+        return Snapshot(
             self._stamps[held].copy(), self._poses[held].copy(), world or 'map', frame,
             tuple(f'{frame}: {note}' for note in (self.refusals(), slashes) if note))
 

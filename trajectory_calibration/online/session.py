@@ -22,13 +22,13 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 from trajectory_calibration.online.motion import Motion, NO_MOTION
 from trajectory_calibration.online.options import in_node_words
-from trajectory_calibration.online.track import Track
+from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.report.tracks import corrected_b, registration
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.align import match_at
-from trajectory_calibration.time_alignment.clock_offset import Clock
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
 
 # More poses than a person can tell apart only slow the display down.
 _MOST_POSES = 2000
@@ -53,7 +53,7 @@ class Overlay:
 
 def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
     """Lay the tracks of a calibration over each other."""
-    pairs = match_at(a, corrected_b(result, b), Clock(0.0), result.config)
+    pairs = match_at(a, corrected_b(result, b), ClockCorrection(0.0), result.config)
     pairs = pairs.thinned(-(-len(pairs) // _MOST_POSES))
     poses_a, poses_b = pairs.poses_a, pairs.poses_b @ se3.inverse(result.T_a_b)
     return Overlay(a.world_frame, pairs.stamps_ns, poses_a,
@@ -83,8 +83,8 @@ class Calibration(NamedTuple):
 class CalibrationJob:
     """Everything that one calibration needs, copied at the moment it was asked for."""
 
-    track_a: Track
-    track_b: Track
+    track_a: Snapshot
+    track_b: Snapshot
     config: CalibrationConfig
 
     def run(self) -> Calibration:
@@ -110,7 +110,7 @@ class CalibrationSession:
         self.names = [topic.strip('/').replace('/', '_') for topic in topics]
         self.buffers = tuple(PoseBuffer(limits) for _ in topics)
 
-    def tracks(self, frames: Sequence[str] = ('', '')) -> tuple[Track, ...]:
+    def tracks(self, frames: Sequence[str] = ('', '')) -> tuple[Snapshot, ...]:
         """Return copies of what is held now; ``frames`` that are not empty override names."""
         return tuple(
             buffer.snapshot(name, frame.lstrip('/'))

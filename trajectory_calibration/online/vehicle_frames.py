@@ -22,16 +22,16 @@ import numpy as np
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.frame_tree import between, Edge, upwards
+from trajectory_calibration.outputs.frame_tree import between, TreeEdge, upwards
 
 # Transforms of this difference, metres and radians, are one that was published twice.
 _SAME = 1e-9
 
 
-class Placement(NamedTuple):
+class Carrier(NamedTuple):
     """Which transform carries an extrinsic, if any may, and why it is another than a -> b."""
 
-    edge: Edge | None
+    edge: TreeEdge | None
     reason: str = ''
 
 
@@ -39,9 +39,9 @@ class VehicleFrames:
     """The frames that a vehicle publishes on /tf and /tf_static, each with its parent."""
 
     def __init__(self) -> None:
-        self._edges: dict[str, Edge] = {}
+        self._edges: dict[str, TreeEdge] = {}
         # What this node has put on /tf_static, which it hears itself.
-        self._published: list[Edge] = []
+        self._published: list[TreeEdge] = []
         self._conflicts: dict[str, str] = {}
 
     @property
@@ -53,8 +53,8 @@ class VehicleFrames:
         self, parent: str, child: str, T_parent_child: FloatArray, *, static: bool,
     ) -> None:
         """Take a transform as it arrives; what this node published itself is left out."""
-        edge = Edge(parent.lstrip('/'), child.lstrip('/'), T_parent_child,
-                    'fixed' if static else 'moving')
+        edge = TreeEdge(parent.lstrip('/'), child.lstrip('/'), T_parent_child,
+                        'fixed' if static else 'moving')
         if not edge.parent or not edge.child or edge.parent == edge.child:
             return
         if static and any(
@@ -72,7 +72,7 @@ class VehicleFrames:
                 f'as {self._published[-1].parent} -> {edge.child}; stop one of the two')
         self._edges[edge.child] = edge
 
-    def published(self, edge: Edge) -> None:
+    def published(self, edge: TreeEdge) -> None:
         """Note what this node has put on /tf_static."""
         self._published.append(edge)
 
@@ -89,13 +89,13 @@ class VehicleFrames:
     def place(
         self, frame_a: str, frame_b: str, T_a_b: FloatArray,
         invented: frozenset[str] = frozenset(),
-    ) -> Placement:
+    ) -> Carrier:
         """Return where the pose of b in a goes; ``invented`` names of frames must not reach TF."""
         if frame_a == frame_b:
-            return Placement(None, f'both frames are {frame_a}; set frame_a and frame_b')
+            return Carrier(None, f'both frames are {frame_a}; set frame_a and frame_b')
         for name, setting in ((frame_a, 'frame_a'), (frame_b, 'frame_b')):
             if name in invented:
-                return Placement(None, f'the messages name no frame for {name}; set {setting}')
+                return Carrier(None, f'the messages name no frame for {name}; set {setting}')
         found = between(self._edges, frame_a, frame_b)
         if found is not None:
             cure = (
@@ -103,25 +103,25 @@ class VehicleFrames:
                 if found[1] is None else
                 'a SLAM or an odometry publishes it: switch off the TF of one of the two')
             way = ' <- '.join(name for name, _, _ in upwards(self._edges, frame_b))
-            return Placement(None, (
+            return Carrier(None, (
                 f'the vehicle already connects {frame_a} and {frame_b} ({way}); {cure}'))
         if frame_b not in self._edges:
-            return Placement(Edge(frame_a, frame_b, T_a_b))
+            return Carrier(TreeEdge(frame_a, frame_b, T_a_b))
         has_parent = f'{frame_b} already has the parent {self._edges[frame_b].parent}'
         # The highest frame that is fixed to b.
         top, T_top_b, _ = [item for item in upwards(self._edges, frame_b) if item[2] is None][-1]
         if frame_a not in self._edges:
-            edge = Edge(top, frame_a, T_top_b @ se3.inverse(T_a_b))
+            edge = TreeEdge(top, frame_a, T_top_b @ se3.inverse(T_a_b))
         elif top not in self._edges:
-            edge = Edge(frame_a, top, T_a_b @ se3.inverse(T_top_b))
+            edge = TreeEdge(frame_a, top, T_a_b @ se3.inverse(T_top_b))
         else:
-            return Placement(None, (
+            return Carrier(None, (
                 f'{has_parent} and {frame_a} the parent {self._edges[frame_a].parent}, in two '
                 'trees that both move; publish the transform that connects them yourself'))
-        return Placement(edge, f'{has_parent}: published as {edge.parent} -> {edge.child}')
+        return Carrier(edge, f'{has_parent}: published as {edge.parent} -> {edge.child}')
 
 
-def difference(T_a_b: FloatArray, T_a_b_today: FloatArray) -> str:
+def difference_in_words(T_a_b: FloatArray, T_a_b_today: FloatArray) -> str:
     """Return in words how far an answer is from the transform that the vehicle has today."""
     step = se3.step_between(T_a_b_today, T_a_b)
     # Zero is added so that nothing is -0.0000.

@@ -15,7 +15,7 @@ import numpy as np
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.fleet.verification import CANNOT_TELL, HOLDS, MOVED, verify
 from trajectory_calibration.online.session import CalibrationSession
-from trajectory_calibration.online.track import Track
+from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.result import CalibrationResult
 
 # So many checks in a row must find that it moved before that is an error and no warning; both
@@ -27,7 +27,7 @@ _FEWEST_POSES = 30
 
 
 @dataclass(frozen=True)
-class Verdict:
+class MonitorVerdict:
     """What a check of the published answer says, with the status that ``verify`` ends with."""
 
     verdict: str
@@ -41,7 +41,7 @@ class Verdict:
         """Return 0 (OK), 1 (WARN: moved once) or 2 (ERROR: moved, confirmed)."""
         return min(self.checks, _CONFIRMED)
 
-    def following(self, before: Verdict | None) -> Verdict:
+    def following(self, before: MonitorVerdict | None) -> MonitorVerdict:
         """Return this verdict after an earlier one: poor motion neither confirms nor denies."""
         earlier = before.checks if before else 0
         checks = {HOLDS: 0, CANNOT_TELL: earlier, MOVED: earlier + 1}[self.verdict]
@@ -55,15 +55,15 @@ class MonitorJob:
     """A check of an answer against recent poses."""
 
     result: CalibrationResult
-    track_a: Track
-    track_b: Track
+    track_a: Snapshot
+    track_b: Snapshot
     config: CalibrationConfig
 
-    def run(self) -> Verdict:
+    def run(self) -> MonitorVerdict:
         """Check; raises CalibrationError where the data give no answer."""
         found = verify(self.result, self.track_a.thinned().trajectory(),
                        self.track_b.thinned().trajectory(), self.config)
-        return Verdict(found.verdict, found.exit_status, found.describe())
+        return MonitorVerdict(found.verdict, found.exit_status, found.describe())
 
 
 class Monitor:

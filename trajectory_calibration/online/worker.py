@@ -52,7 +52,7 @@ _UNFINISHED = SolverError(
     'the calibration ended without an answer; the reason is in the log of the node')
 
 
-class Job(Protocol[Answer_co]):
+class SolverJob(Protocol[Answer_co]):
     """What the process runs: plain data with a method that may raise CalibrationError."""
 
     def run(self) -> Answer_co:
@@ -79,7 +79,7 @@ class SolverProcess(Generic[Answer]):
         self.cpu_s = 0.0
         self.started_s = 0.0
 
-    def start(self, job: Job[Answer], timeout_s: float) -> None:
+    def start(self, job: SolverJob[Answer], timeout_s: float) -> None:
         """Start a job; the caller has checked that none is running."""
         self.started_s = time.monotonic()
         self.busy, self._cancelled, self._outcome = True, None, _UNFINISHED
@@ -114,7 +114,7 @@ class SolverProcess(Generic[Answer]):
         if self._thread is not None:
             self._thread.join()
 
-    def _run(self, job: Job[Answer], timeout_s: float) -> None:
+    def _run(self, job: SolverJob[Answer], timeout_s: float) -> None:
         # What is not foreseen here ends this thread with a traceback in the log. The node hears
         # of the end all the same, or it would be busy for ever.
         try:
@@ -127,7 +127,7 @@ class SolverProcess(Generic[Answer]):
         finally:
             self._done()
 
-    def _solve(self, job: Job[Answer], timeout_s: float) -> Answer | CalibrationError:
+    def _solve(self, job: SolverJob[Answer], timeout_s: float) -> Answer | CalibrationError:
         work = pickle.dumps(job, protocol=5)
         with self._lock:
             if self._cancelled is not None:
@@ -174,7 +174,7 @@ def main(node: int) -> int:
     # Solvers written in C print where they like; the answer alone goes to the pipe.
     reply = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    job: Job[Any] = pickle.load(sys.stdin.buffer)
+    job: SolverJob[Any] = pickle.load(sys.stdin.buffer)
     try:
         outcome = job.run()
     except CalibrationError as error:

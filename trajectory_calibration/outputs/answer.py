@@ -200,7 +200,7 @@ class Verdict(NamedTuple):
     next_step: str
 
 
-def judge(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Verdict:
+def verdict_of(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -> Verdict:
     """Return the verdict on a result."""
     rows = rows or answer_rows(result)
     worst = min((row.status for row in rows), key=_WORST_FIRST.index)

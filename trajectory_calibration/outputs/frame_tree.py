@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Edge:
+class TreeEdge:
     """One transform of a tree.
 
     Attributes
@@ -41,8 +41,8 @@ class Edge:
 
 
 def upwards(
-    edges: Mapping[str, Edge], frame: str,
-) -> Iterator[tuple[str, FloatArray, Edge | None]]:
+    edges: Mapping[str, TreeEdge], frame: str,
+) -> Iterator[tuple[str, FloatArray, TreeEdge | None]]:
     """Yield a frame and those above it: name, (4, 4) pose of the first in it, and what moves.
 
     ``edges`` by their child. What moves is an edge between that is not fixed, or None. A circle
@@ -60,8 +60,8 @@ def upwards(
 
 
 def between(
-    edges: Mapping[str, Edge], parent: str, child: str,
-) -> tuple[FloatArray, Edge | None] | None:
+    edges: Mapping[str, TreeEdge], parent: str, child: str,
+) -> tuple[FloatArray, TreeEdge | None] | None:
     """Return the (4, 4) pose of one frame in another, and what moves between them, or None.
 
     None where the two are in separate trees.
@@ -80,7 +80,7 @@ class FrameTree:
     """The joints of one URDF, by child link: a link has one parent."""
 
     path: Path
-    joints: dict[str, Edge]
+    joints: dict[str, TreeEdge]
 
     @classmethod
     def read(cls, path: Path) -> FrameTree:
@@ -107,7 +107,7 @@ class FrameTree:
                   if item.find('parent') is not None]
         if not joints:
             # <origin xyz rpy> alone is what people paste.
-            joints = [Edge('', '', _origin(item, path), name='origin')
+            joints = [TreeEdge('', '', _origin(item, path), name='origin')
                       for item in root.iter('origin')]
         if not joints:
             raise SourceError(f'{path} holds no <joint> and no <origin>; needed a URDF; a xacro '
@@ -141,14 +141,14 @@ class FrameTree:
         return T_parent_child
 
 
-def _joint(item: ET.Element, path: Path) -> Edge:
+def _joint(item: ET.Element, path: Path) -> TreeEdge:
     ends = [found.get('link', '') for found in map(item.find, ('parent', 'child'))
             if found is not None]
     if len(ends) != 2:
         raise SourceError(f'{path}: joint {item.get("name")} has no parent or no child')
     origin = item.find('origin')
-    return Edge(ends[0], ends[1], np.eye(4) if origin is None else _origin(origin, path),
-                item.get('type', 'fixed'), item.get('name', ''))
+    return TreeEdge(ends[0], ends[1], np.eye(4) if origin is None else _origin(origin, path),
+                    item.get('type', 'fixed'), item.get('name', ''))
 
 
 def _origin(item: ET.Element, path: Path) -> FloatArray:

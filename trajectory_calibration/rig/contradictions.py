@@ -23,7 +23,7 @@ from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.pairs import PairFailure
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
-from trajectory_calibration.rig.windows import Clock, Grid, Level, TWIST
+from trajectory_calibration.rig.windows import Clock, Grid, TWIST, WindowLevel
 
 # Contradictions that are looked for one after the other, each without the ones before.
 _MOST_DOUBTED = 3
@@ -255,7 +255,7 @@ def _jumps(
 
 
 def _blocks(
-    levels: Sequence[Level], noise: FloatArray, sensor: int, size: int, blocks: int,
+    levels: Sequence[WindowLevel], noise: FloatArray, sensor: int, size: int, blocks: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (B, 6) scores and (B, 6, 6) information of one sensor against all others."""
     score, information = np.zeros((blocks, 6)), np.zeros((blocks, 6, 6))

@@ -19,7 +19,7 @@ import numpy as np
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.windows import Level
+from trajectory_calibration.rig.windows import WindowLevel
 
 # The median of a chi-squared variable of three degrees of freedom, and where its tail is cut.
 _MEDIAN, _CUT = quantile(3, 0.5), quantile(3)
@@ -53,7 +53,7 @@ class SensorNoise:
     drift_rad: float
 
 
-def sensor_variances(levels: Sequence[Level], X: FloatArray) -> FloatArray:
+def sensor_variances(levels: Sequence[WindowLevel], X: FloatArray) -> FloatArray:
     """Return the (T, S, 2) variances of one axis of the differences, translation and rotation.
 
     ``X`` (S, 4, 4) are the sensors in the base: a rotation of a sensor moves the base by its
@@ -70,7 +70,7 @@ def sensor_variances(levels: Sequence[Level], X: FloatArray) -> FloatArray:
     return _continued(found)
 
 
-def _pair_squares(level: Level) -> tuple[FloatArray, FloatArray]:
+def _pair_squares(level: WindowLevel) -> tuple[FloatArray, FloatArray]:
     """Return (2, S, S) mean squares of one axis of what two sensors differ by, and windows."""
     sensors = len(level.known)
     squares, counts = np.full((2, sensors, sensors), np.nan), np.zeros((sensors, sensors))
@@ -98,7 +98,7 @@ def covariances(variances: FloatArray, X: FloatArray) -> FloatArray:
     return Ad @ own @ np.swapaxes(Ad, 1, 2)
 
 
-def white_and_drift(levels: list[Level], variances: FloatArray) -> list[SensorNoise]:
+def white_and_drift(levels: list[WindowLevel], variances: FloatArray) -> list[SensorNoise]:
     """Return white noise and random walk of every sensor, fitted to (T, S, 2) variances.
 
     The halves of a window of 2 h samples average h poses each: white noise of variance w leaves

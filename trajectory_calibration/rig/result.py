@@ -15,7 +15,7 @@ import numpy as np
 from trajectory_calibration.assessment.observability import (
     DEGREES_OF_FREEDOM,
     deviations_of,
-    judge,
+    status_of,
     UNOBSERVED,
 )
 from trajectory_calibration.config.settings import CalibrationConfig
@@ -294,7 +294,7 @@ def is_rig(path: Path) -> bool:
 
 def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
     """Return the status of each component of a (6, 6) covariance under the settings' limits."""
-    return {name: judge(config, std, rotation=k >= 3) for k, (name, std) in enumerate(
+    return {name: status_of(config, std, rotation=k >= 3) for k, (name, std) in enumerate(
         zip(DEGREES_OF_FREEDOM, deviations_of(covariance).tolist(), strict=True))}
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.windows import Level, SCALE, UNKNOWNS
+from trajectory_calibration.rig.windows import SCALE, UNKNOWNS, WindowLevel
 
 # Standard deviations of what no motion tells: metres, radians, seconds, log scale.
 _UNTOLD = (30.0, 1.0, 0.05, 0.03)
@@ -38,7 +38,7 @@ _SINGULAR = 1e-14
 
 
 def joint_covariance(
-    levels: Sequence[Level],
+    levels: Sequence[WindowLevel],
     noise: FloatArray,
     pairs: Sequence[tuple[int, int]],
     free_scale: Sequence[bool],
@@ -76,7 +76,7 @@ def _roles(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
 
 
 def _add_level(
-    bread: FloatArray, meat: FloatArray, level: Level, N: FloatArray, role: FloatArray,
+    bread: FloatArray, meat: FloatArray, level: WindowLevel, N: FloatArray, role: FloatArray,
 ) -> None:
     K = np.linalg.inv(np.tensordot(np.abs(role), N, (0, 0)))
     # Windows that the same sensors cover are summed at once.

@@ -38,11 +38,11 @@ from trajectory_calibration.rig.windows import (
     Clock,
     common_grid,
     Grid,
-    Level,
     levels_of,
     SCALE,
     track_of,
     TWIST,
+    WindowLevel,
 )
 
 # Fewer lengths of windows than this tell no noise.
@@ -87,7 +87,7 @@ class Tree:
     start: FloatArray
     limits: FloatArray
     sensor_noise: tuple[SensorNoise | None, ...]
-    levels: tuple[Level, ...]
+    levels: tuple[WindowLevel, ...]
     noise: FloatArray | None
     grid: Grid | None
 
@@ -139,7 +139,7 @@ def build_tree(
     stated[:, :, :3] *= of_parents[:, None, None]
     limits = limits_of(settings)
     start = _agree_in_what_is_unobserved(answers, stated, ends, sensors, limits)
-    levels: list[Level] = []
+    levels: list[WindowLevel] = []
     grid = None
     if all(name in trajectories for name in names):
         grid = common_grid([

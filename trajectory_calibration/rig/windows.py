@@ -68,7 +68,7 @@ class Clock:
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class WindowLevel:
     """All windows of one length.
 
     Attributes
@@ -143,7 +143,7 @@ def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
     return Grid(stamps_ns, poses, known)
 
 
-def levels_of(grid: Grid) -> list[Level]:
+def levels_of(grid: Grid) -> list[WindowLevel]:
     """Return the windows of every length, the shortest first."""
     reference = _reference(grid)
     seconds = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
@@ -152,7 +152,7 @@ def levels_of(grid: Grid) -> list[Level]:
     at, said = reference, grid.poses.copy()
     covered = grid.known.astype(np.float64)
     information = np.broadcast_to(_weights(grid, reference), (len(at), 6, 6)).copy()
-    levels: list[Level] = []
+    levels: list[WindowLevel] = []
     while len(at) >= 2 * _FEWEST_WINDOWS:
         count = len(at) // 2 * 2
         left, right = slice(0, count, 2), slice(1, count, 2)
@@ -162,7 +162,7 @@ def levels_of(grid: Grid) -> list[Level]:
         apart = se3.log_se3(se3.inverse(from_left) @ said[:, right])
         of_left = carry @ jacobian[left]
         both = (covered[:, left] >= _COVERED) & (covered[:, right] >= _COVERED)
-        levels.append(Level(
+        levels.append(WindowLevel(
             samples=2**len(levels),
             metres=float(np.mean(np.linalg.norm(to_middle[:, :3, 3], axis=1))),
             differences=np.where(both[:, :, None], apart, 0.0),

@@ -15,7 +15,7 @@ from trajectory_calibration.online.answer import deviations, headline
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.motion import Motion, Pairing
 from trajectory_calibration.online.session import CalibrationState
-from trajectory_calibration.online.verification import Verdict
+from trajectory_calibration.online.verification import MonitorVerdict
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.topics import TopicStatus
 
@@ -185,7 +185,9 @@ def _advice_values(advice: Advice | None) -> dict[str, object]:
     }
 
 
-def monitor_report(name: str, hardware_id: str, verdict: Verdict | None) -> DiagnosticStatus:
+def monitor_report(
+    name: str, hardware_id: str, verdict: MonitorVerdict | None,
+) -> DiagnosticStatus:
     """Return whether the published extrinsic still holds."""
     if verdict is None:
         return _status(name, hardware_id,

@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.buffer import fault_of
-from trajectory_calibration.online.vehicle_frames import difference, VehicleFrames
+from trajectory_calibration.online.vehicle_frames import difference_in_words, VehicleFrames
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.ros.messages import LATCHED, stamp_ns, to_transform_stamped
 from trajectory_calibration.sources.transforms import ChainFollower
@@ -121,7 +121,7 @@ class VehicleTransforms:
         if T_today is None:
             return ''
         return (f"differs from the vehicle's own transform {result.frame_a} -> {result.frame_b} "
-                f'by {difference(result.T_a_b, T_today)}')
+                f'by {difference_in_words(result.T_a_b, T_today)}')
 
     def _hear(self, message: Any, *, static: bool) -> None:
         now_s = time.monotonic()

@@ -124,8 +124,9 @@ def simulate(scenario: Scenario, seed: int, T_a_b: FloatArray | None = None) -> 
     of_a, of_b = (path(np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate)
                   for sensor in (scenario.a, scenario.b))
     return SimulatedPair(
-        observe(scenario.a, scenario.duration, of_a, for_a),
-        observe(scenario.b, scenario.duration, T_worldb_worlda @ of_b @ T_a_b, for_b), T_a_b)
+        simulate_sensor(scenario.a, scenario.duration, of_a, for_a),
+        simulate_sensor(scenario.b, scenario.duration, T_worldb_worlda @ of_b @ T_a_b, for_b),
+        T_a_b)
 
 
 def random_pose(rng: np.random.Generator) -> FloatArray:
@@ -141,7 +142,7 @@ def _count(duration: float, rate: float) -> int:
     return int(duration * rate + 1e-6) + 1
 
 
-def observe(
+def simulate_sensor(
     sensor: Sensor, duration: float, poses: FloatArray, seed: np.random.SeedSequence,
 ) -> Trajectory:
     """Report true (N, 4, 4) poses, evenly spaced in time, as the sensor's SLAM would."""

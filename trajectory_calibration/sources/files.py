@@ -53,7 +53,7 @@ from trajectory_calibration.sources.text import is_bag, read_bytes, Table
 from trajectory_calibration.sources.times import (
     judge_seconds,
     read_times,
-    unit_of,
+    time_unit_of,
 )
 from trajectory_calibration.sources.usable import UsablePoses
 
@@ -140,7 +140,7 @@ class FileSource:
                 f'{self.path}: {counted(table.width, "column")}, {layout.source} needs at least '
                 f'{max(layout.pose_columns) + 1}')
         unit = self.time_unit or layout.unit or (
-            's' if layout.time is None else unit_of(table.sample()[:, layout.time]))
+            's' if layout.time is None else time_unit_of(table.sample()[:, layout.time]))
         whole = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
         numbers = table.read_numbers(layout.pose_columns + whole, layout.time, TIME_UNITS[unit])
         values, rest = np.split(numbers.values, [len(layout.pose_columns)], axis=1)

@@ -27,7 +27,7 @@ _PARTS = (9, 6, 3)
 Stamps = NDArray[np.int64]
 
 
-def unit_of(values: FloatArray) -> str:
+def time_unit_of(values: FloatArray) -> str:
     """Return the unit that the size of (N,) times since 1970 tells; seconds where it does not."""
     finite = values[np.isfinite(values)]
     size = float(np.median(np.abs(finite))) if len(finite) else 0.0
@@ -112,7 +112,7 @@ def _stamps_of(
 ) -> tuple[Stamps, NDArray[np.bool_]]:
     """Return the (N,) nanoseconds of times, and which of them are not finite."""
     table = Table.parse(path, b'\n'.join(words) + b'\n')
-    numbers = table.read_numbers([], 0, TIME_UNITS[unit or unit_of(table.sample()[:, 0])])
+    numbers = table.read_numbers([], 0, TIME_UNITS[unit or time_unit_of(table.sample()[:, 0])])
     return numbers.stamps_ns, ~numbers.finite
 
 

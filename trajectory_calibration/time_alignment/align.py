@@ -9,11 +9,13 @@ from trajectory_calibration.data.plausibility import doubts_of_both
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import AssociationError
-from trajectory_calibration.time_alignment.clock_offset import Clock, synchronise
+from trajectory_calibration.time_alignment.clock_offset import ClockCorrection, synchronise
 from trajectory_calibration.time_alignment.pairing import associate
 
 
-def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Clock, PosePairs]:
+def match(
+    a: Trajectory, b: Trajectory, config: CalibrationConfig,
+) -> tuple[ClockCorrection, PosePairs]:
     """Return the clock correction of b and the pose pairs.
 
     Raise AssociationError as ``synchronise`` and ``associate``, with a question if the stamps may
@@ -32,7 +34,7 @@ def match(a: Trajectory, b: Trajectory, config: CalibrationConfig) -> tuple[Cloc
 
 
 def match_at(
-    a: Trajectory, b: Trajectory, clock: Clock, config: CalibrationConfig,
+    a: Trajectory, b: Trajectory, clock: ClockCorrection, config: CalibrationConfig,
 ) -> PosePairs:
     """Return the pose pairs for a known clock correction of b; raises as ``associate``."""
     return associate(

@@ -69,7 +69,7 @@ class ClockOffset:
 
 
 @dataclass(frozen=True)
-class Clock:
+class ClockCorrection:
     """The correction of the stamps of b to the clock of a.
 
     Attributes
@@ -136,7 +136,7 @@ def in_total(
 
 def synchronise(
     a: Trajectory, b: Trajectory, time_offset_s: float, mode: str, max_offset_s: float,
-) -> Clock:
+) -> ClockCorrection:
     """Return the correction of the stamps of b.
 
     ``mode`` is 'fixed' (use ``time_offset_s``), 'estimate' (search within ``max_offset_s`` of it)
@@ -146,13 +146,13 @@ def synchronise(
     Raise AssociationError if the mode is 'estimate' and no offset is found.
     """
     if mode == 'fixed' or max_offset_s == 0:
-        return Clock(time_offset_s)
+        return ClockCorrection(time_offset_s)
     shift_ns = round(time_offset_s * 1e9)
     shifted = b if shift_ns == 0 else replace(b, stamps_ns=b.stamps_ns + shift_ns)
     found = find_clock_offset(a, shifted, max_offset_s)
     if found is None or found.correlation < _LEAST_CORRELATION:
         if mode == 'auto':
-            return Clock(time_offset_s)
+            return ClockCorrection(time_offset_s)
         raise AssociationError(
             f'the clock offset within {max_offset_s:g} s cannot be found: {a.sensor_frame} and '
             f'{b.sensor_frame} did not turn together; set time_offset_mode to fixed, or '
@@ -165,9 +165,10 @@ def synchronise(
             a, shifted.retimed(drift.rate, drift.from_ns), max_offset_s)
         # The offset of the drifting clock is not that of the corrected one.
         if retimed is not None:
-            return Clock(time_offset_s + retimed.seconds, drift.rate,
-                         drift.from_ns - shift_ns, drift.std, drift.uneven_s, alternatives)
-    return Clock(time_offset_s + seconds, alternatives_s=alternatives)
+            return ClockCorrection(
+                time_offset_s + retimed.seconds, drift.rate, drift.from_ns - shift_ns, drift.std,
+                drift.uneven_s, alternatives)
+    return ClockCorrection(time_offset_s + seconds, alternatives_s=alternatives)
 
 
 def find_clock_offset(

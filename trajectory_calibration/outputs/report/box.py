@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 
 from trajectory_calibration.errors import CalibrationError, in_sigmas
-from trajectory_calibration.outputs.answer import judge, Row, TITLES
+from trajectory_calibration.outputs.answer import Row, TITLES, verdict_of
 from trajectory_calibration.outputs.exports import EXPORTS
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.report.figures import Canvas
@@ -37,7 +37,7 @@ def verdict_box(result: CalibrationResult, rows: tuple[Row, ...], driven: str = 
     ``driven`` says how far sensor a went.
     """
     a, b = escape(result.frame_a), escape(result.frame_b)
-    config, verdict = result.config, judge(result, rows)
+    config, verdict = result.config, verdict_of(result, rows)
     has_truth = rows[0].error is not None
     names = ', '.join(row.name for row in rows if _is_far(row))
     inside = filled(

@@ -20,7 +20,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
     State,
 )
 from trajectory_calibration.solvers.drift_aware.jumps import find_jumps
-from trajectory_calibration.solvers.drift_aware.noise import Noise
+from trajectory_calibration.solvers.drift_aware.noise import NoiseModel
 from trajectory_calibration.solvers.drift_aware.octaves import Octaves, saturation, scores
 from trajectory_calibration.solvers.drift_aware.spread import inflation
 from trajectory_calibration.solvers.drift_aware.tree import contrast, Contrasts, Plan, plan
@@ -66,7 +66,7 @@ class Fit:
 
     drive: Drive
     state: State
-    noise: Noise
+    noise: NoiseModel
     tree: Plan
     contrasts: Contrasts
     weights: FloatArray
@@ -149,7 +149,7 @@ def fit(
     return result
 
 
-def _from_coarse(noise: Noise, before: Fit, drive: Drive) -> Noise:
+def _from_coarse(noise: NoiseModel, before: Fit, drive: Drive) -> NoiseModel:
     """Return the initial noise, with the noise between worlds from the coarse fit."""
     shift = round(np.log2((len(drive) - 1) / (len(before.drive) - 1)))
     coarse = before.noise.refined(shift).resized(len(noise.walk))

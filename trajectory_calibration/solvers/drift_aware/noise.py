@@ -27,7 +27,7 @@ GROWTH = 1.4
 
 
 @dataclass(frozen=True, eq=False)
-class Noise:
+class NoiseModel:
     """Variances, those with two columns of (translation, rotation).
 
     Attributes
@@ -46,13 +46,13 @@ class Noise:
     scale: float
     tail: float
 
-    def resized(self, octaves: int) -> Noise:
+    def resized(self, octaves: int) -> NoiseModel:
         """Return the noise for at least so many octaves; the last one is repeated."""
         more = octaves - len(self.walk)
         return self if more <= 0 else replace(self, walk=np.concatenate(
             [self.walk, np.repeat(self.walk[-1:], more, axis=0)]))
 
-    def refined(self, octaves: int) -> Noise:
+    def refined(self, octaves: int) -> NoiseModel:
         """Return the noise with so many shorter octaves added below."""
         below = self.walk[1:2] / 2.0**np.arange(octaves, 0, -1)[:, None]
         return replace(self, walk=np.concatenate([0 * self.walk[:1], below, self.walk[1:]]),

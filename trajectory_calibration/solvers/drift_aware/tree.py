@@ -55,7 +55,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
     SCALE,
     State,
 )
-from trajectory_calibration.solvers.drift_aware.noise import along, Noise
+from trajectory_calibration.solvers.drift_aware.noise import along, NoiseModel
 
 Indices = NDArray[np.intp]
 _IDENTITY = np.eye(6)
@@ -250,7 +250,7 @@ def contrast(
     drive: Drive,
     state: State,
     tree: Plan,
-    noise: Noise,
+    noise: NoiseModel,
     jumps: FloatArray,
     weights: FloatArray,
 ) -> Contrasts:

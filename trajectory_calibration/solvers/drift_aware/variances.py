@@ -47,7 +47,7 @@ from trajectory_calibration.solvers.drift_aware.drive import (
 from trajectory_calibration.solvers.drift_aware.noise import (
     along,
     GROWTH,
-    Noise,
+    NoiseModel,
     PARTS,
     scale_growth,
     units,
@@ -68,12 +68,12 @@ _PRIOR_CONTRASTS = 24
 _LARGEST_CHANGE = 20.0
 
 
-def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]) -> Noise:
+def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]) -> NoiseModel:
     """Return the white noise from the median step, without other noise."""
     i = np.flatnonzero(~cut)
     e = residuals(drive, correct(drive, state), i, i + 1)
     white = [0.65 * np.median((e[:, part]**2).mean(axis=1)) for part in PARTS]
-    return Noise(_balanced(np.array(white), drive), 0.0, np.zeros((octaves, 2)), 0.0, 5.0)
+    return NoiseModel(_balanced(np.array(white), drive), 0.0, np.zeros((octaves, 2)), 0.0, 5.0)
 
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
@@ -85,7 +85,7 @@ def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
 
 
 def improved(
-    noise: Noise,
+    noise: NoiseModel,
     drive: Drive,
     state: State,
     tree: Plan,
@@ -93,7 +93,7 @@ def improved(
     weights: FloatArray,
     cut: NDArray[np.bool_],
     normal: FloatArray,
-) -> Noise:
+) -> NoiseModel:
     """Return the noise after a step of Fisher scoring; ``normal`` (12, 12) is A."""
     e = apply(found.inverse, found.d)
     whitened = found.inverse @ found.J
@@ -107,11 +107,11 @@ def improved(
     white, stamps = _improved_white(noise, drive, state, tree, found, slope, used, lowest)
     walk = _improved_walk(noise, tree, found, slope, used)
     scale = _improved_scale(noise, tree, found, slope, used)
-    return Noise(white, stamps, walk, scale, noise.tail)
+    return NoiseModel(white, stamps, walk, scale, noise.tail)
 
 
 def _improved_white(
-    noise: Noise, drive: Drive, state: State, tree: Plan, found: Contrasts, slope: FloatArray,
+    noise: NoiseModel, drive: Drive, state: State, tree: Plan, found: Contrasts, slope: FloatArray,
     used: NDArray[np.bool_], lowest: slice,
 ) -> tuple[FloatArray, float]:
     """Estimate the white noise and that of the stamps from the lowest octave."""
@@ -140,7 +140,7 @@ def _improved_white(
 
 
 def _improved_walk(
-    noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
+    noise: NoiseModel, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
 ) -> FloatArray:
     """Estimate the noise between worlds from each octave above the lowest."""
     octaves = tree.octaves
@@ -170,7 +170,7 @@ def _improved_walk(
 
 
 def _improved_scale(
-    noise: Noise, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
+    noise: NoiseModel, tree: Plan, found: Contrasts, slope: FloatArray, used: NDArray[np.bool_],
 ) -> float:
     """Estimate the variance of the scale from all octaves."""
     growth = np.where(used, scale_growth(tree.octaves)[tree.octave], 0.0)

@@ -21,7 +21,7 @@ _LONGEST_STEP_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
+class Snapshot:
     """What a buffer held at one moment; independent of it, cheap to send to another process.
 
     The (N, 7) poses are position x, y, z (metres) and quaternion x, y, z, w in the world; the
@@ -46,7 +46,7 @@ class Track:
             self.sensor_frame,
             tuple(Finding('input-repaired', note) for note in self.warnings))
 
-    def thinned(self) -> Track:
+    def thinned(self) -> Snapshot:
         """Return every n-th pose of a long track at a high rate; a short one as it is.
 
         The standard deviations of a calibration change little by it: errors that accumulate
@@ -59,9 +59,9 @@ class Track:
         stride = min(count // _MANY_POSES, _LONGEST_STEP_NS // usual_ns)
         return self if stride < 2 else self._picked(slice(None, None, stride))
 
-    def after(self, stamp_ns: int) -> Track:
+    def after(self, stamp_ns: int) -> Snapshot:
         """Return the poses after a stamp."""
         return self._picked(slice(int(np.searchsorted(self.stamps_ns, stamp_ns, 'right')), None))
 
-    def _picked(self, part: slice) -> Track:
+    def _picked(self, part: slice) -> Snapshot:
         return replace(self, stamps_ns=self.stamps_ns[part], poses=self.poses[part])
