@@ -68,6 +68,16 @@ def test_a_recording_that_is_given_twice_counts_once(drives, tmp_path, capsys):
     assert out.splitlines()[1] == 'tuesday: the recording of monday again, counted once'
 
 
+def test_overlapping_patterns_name_a_recording_once(drives):
+    def names(*patterns):
+        return [job.name for job in read_jobs(patterns, 'a.tum', 'b.tum', CalibrationConfig())]
+
+    one = str(drives / 'drive0')
+    assert names(one, str(drives / 'drive[01]'), one) == ['drive0', 'drive1']
+    # Another way of writing the path is told from its stamps and poses.
+    assert len({*names(one, f'{drives}/drive1/../drive0', one)}) == 2
+
+
 def test_a_pattern_without_a_match_is_no_recording(tmp_path, capsys):
     status, _, err = run(capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/x', '--b', '/y',
                          '--output', tmp_path)
@@ -287,7 +297,6 @@ jobs:
     ('{a: /x, b: /y, jobs: [{bag: [5]}]}', r'bag is \[5\], needed a text'),
     ('{a: /x, b: /y, invert_a: yes it is, jobs: [x]}', 'needed true or false'),
     ('{a: /x, b: /y, jobs: [{bag: x.mcap, speed: 3}]}', "'speed' is unknown"),
-    ('{a: /x, b: /y, jobs: [{bag: x, name: n}, {bag: y, name: n}]}', 'two jobs are named n'),
 ])
 def test_a_list_of_jobs_that_is_none_is_named(tmp_path, text, message):
     (tmp_path / 'jobs.yaml').write_text(text)
@@ -298,6 +307,19 @@ def test_a_list_of_jobs_that_is_none_is_named(tmp_path, text, message):
 def test_a_folder_of_folders_is_named_with_the_pattern_that_serves(drives):
     with pytest.raises(ConfigError, match=r"holds one folder for each recording; give '.*/\*'$"):
         read_jobs([str(drives)], 'a.tum', 'b.tum', CalibrationConfig())
+
+
+def test_a_folder_that_holds_a_bag_is_named_with_the_bag(tmp_path):
+    write_pair_bag(tmp_path / 'day' / 'bag')
+    with pytest.raises(ConfigError, match=f"and bag in it is; give '{tmp_path}/day/bag'"):
+        read_jobs([str(tmp_path / 'day')], '/lidar/odom', '/camera/pose', CalibrationConfig())
+
+
+def test_equal_names_of_jobs_get_a_number(tmp_path):
+    (tmp_path / 'jobs.yaml').write_text(
+        '{a: /x, b: /y, jobs: [{bag: x, name: n}, {bag: y, name: n}, z.mcap, z.mcap]}')
+    jobs = read_jobs([str(tmp_path / 'jobs.yaml')], None, None, CalibrationConfig())
+    assert [job.name for job in jobs] == ['n', 'n_2', 'z', 'z_2']
 
 
 def test_bags_without_sensors_are_wrong_usage(capsys, tmp_path):

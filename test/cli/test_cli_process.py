@@ -98,10 +98,15 @@ def test_a_full_disk_is_one_line(tmp_path, command):
 
 
 @OF_PIPES
-@pytest.mark.parametrize('command', ['inspect {a}', '--version', '--help'])
+@pytest.mark.parametrize('command', [
+    'inspect {a} >&-', '--version >&-', '--help >&-', 'inspect {a} 2>&-',
+    'fleet {f}/x {f}/y --a a.txt --b b.txt --output {f}/out >&-'])
 def test_a_closed_output_is_no_error(tmp_path, command):
     a, _, _ = write_pair(tmp_path)
-    done = _shell(f'$CLI {command.format(a=a)} >&-')
+    for name, count in (('x', 80), ('y', 90)):
+        (tmp_path / name).mkdir()
+        write_pair(tmp_path / name, count=count)
+    done = _shell(f'$CLI {command.format(a=a, f=tmp_path)}')
     assert done.returncode == 0
     assert b'Traceback' not in done.stderr
 

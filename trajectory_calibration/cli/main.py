@@ -41,13 +41,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int:
     """Run a command; name its failure on standard error and return the exit status."""
+    for name in ('stdout', 'stderr'):
+        if getattr(sys, name) is None:
+            # The caller closed it (>&-), which is no reason to end, in other processes either.
+            setattr(sys, name, Path(os.devnull).open('w', encoding='utf-8'))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # A name of a frame that the terminal has no characters for is no reason to end.
+        # Nor is a name of a frame that the terminal has no characters for.
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         status = command(argv)
-        # Unlike sys.stdout.flush(), this also goes where standard output is closed.
-        print(end='', flush=True)
+        sys.stdout.flush()
     except CalibrationError as error:
         return _fail(str(error), exit_status.USAGE if isinstance(error, ConfigError)
                      else exit_status.NO_ANSWER)

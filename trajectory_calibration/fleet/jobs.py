@@ -16,7 +16,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from trajectory_calibration.config.file_names import file_name
+from trajectory_calibration.config.file_names import file_names
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.config.yaml_file import make_folder, read_yaml, write_yaml
 from trajectory_calibration.errors import (
@@ -100,15 +100,11 @@ def read_jobs(
     if len(specifications) == 1 and Path(specifications[0]).suffix in ('.yaml', '.yml'):
         jobs = _from_yaml(Path(specifications[0]), a, b, config)
     else:
-        paths = [path for pattern in specifications for path in _expand(pattern)]
+        paths = dict.fromkeys(path for pattern in specifications for path in _expand(pattern))
         jobs = [_from_path(path, a, b, config) for path in paths]
     if not jobs:
         raise ConfigError(f'no bags match {" ".join(specifications)}')
-    names = _names(jobs)
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f'two jobs are named {name}; give each a name of its own')
-    return [replace(job, name=name) for job, name in zip(jobs, names, strict=True)]
+    return [replace(job, name=name) for job, name in zip(jobs, _names(jobs), strict=True)]
 
 
 def _expand(pattern: str) -> list[str]:
@@ -119,12 +115,20 @@ def _expand(pattern: str) -> list[str]:
 
 def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfig) -> Job:
     folder, given = Path(path), {'a': a, 'b': b, 'config': config}
-    if not folder.is_dir() or any(item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
-                                  for item in folder.iterdir()):
+    if not folder.is_dir() or _holds_bag(folder):
         return _from_mapping(Path(), {**given, 'bag': path})
-    if a and not (folder / a).exists() and any((item / a).exists() for item in folder.iterdir()):
-        raise ConfigError(f"{path} holds one folder for each recording; give '{path}/*'")
+    if a and not (folder / a).exists():
+        for item in folder.iterdir():
+            if _holds_bag(item):
+                raise ConfigError(f"{path} is no bag, and {item.name} in it is; give '{item}'")
+            if (item / a).exists():
+                raise ConfigError(f"{path} holds one folder for each recording; give '{path}/*'")
     return _from_mapping(folder, given)
+
+
+def _holds_bag(folder: Path) -> bool:
+    return folder.is_dir() and any(item.suffix in BAG_SUFFIXES or item.name == 'metadata.yaml'
+                                   for item in folder.iterdir())
 
 
 def _from_yaml(
@@ -176,8 +180,11 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
 
 def _names(jobs: Sequence[Job]) -> list[str]:
     """Return names for files; of the jobs without one, those that tell them apart."""
-    short = iter(short_names([job.bags[0] if job.bags else job.a for job in jobs if not job.name]))
-    return [file_name(job.name or next(short)) for job in jobs]
+    paths = [job.bags[0] if job.bags else job.a for job in jobs]
+    short = {path: path for path, job in zip(paths, jobs, strict=True) if not job.name}
+    short = dict(zip(short, short_names([*short]), strict=True))
+    return file_names(
+        job.name or short[path] for path, job in zip(paths, jobs, strict=True))
 
 
 def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
