@@ -50,7 +50,8 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         status = command(argv)
-        sys.stdout.flush()
+        # Unlike sys.stdout.flush(), this tries again what argparse failed to write in silence.
+        print(end='', flush=True)
     except CalibrationError as error:
         return _fail(str(error), exit_status.USAGE if isinstance(error, ConfigError)
                      else exit_status.NO_ANSWER)
