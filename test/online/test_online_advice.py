@@ -99,7 +99,7 @@ def test_a_low_rate_is_not_thinned():
 
 @pytest.mark.parametrize('settings, sentence', [
     ({}, ('drive a ramp or a bank, or give prior_translation along z of lidar: translation along '
-          'z of lidar is not determined, needed 0.02 m')),
+          'z of lidar is unobserved, needed 0.02 m')),
     (HEIGHT, 'enough motion: call ~/calibrate'),
     ({'allow_unobserved': True},
      'enough motion: call ~/calibrate; translation along z of lidar stays unobserved'),

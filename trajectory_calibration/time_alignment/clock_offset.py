@@ -197,7 +197,7 @@ def find_clock_offset(
     # Several starts may lead to one minimum.
     cell_s = coarse.cell_ns * 1e-9
     alternatives = {round(minimum.seconds / cell_s): minimum.seconds for minimum in candidates
-              if abs(minimum.seconds - nearest.seconds) > cell_s}
+                    if abs(minimum.seconds - nearest.seconds) > cell_s}
     return ClockOffset(nearest.seconds, nearest.std, coarse.correlation, coarse.cell_ns,
                        tuple(sorted(alternatives.values(), key=abs)))
 
