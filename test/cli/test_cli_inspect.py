@@ -13,7 +13,7 @@ import pytest
 from trajectory_calibration import Trajectory
 from trajectory_calibration.geometry.se3 import exp_so3, from_rotation_translation
 from trajectory_calibration.outputs.inspection import inspect_trajectory
-from trajectory_calibration.sources.files import read_bytes
+from trajectory_calibration.sources.files import read_text
 
 
 def test_a_file(tmp_path, capsys):
@@ -35,9 +35,9 @@ def test_a_file_is_read_once(tmp_path, monkeypatch, capsys):
 
     def counted(path):
         reads.append(path)
-        return read_bytes(path)
+        return read_text(path)
 
-    monkeypatch.setattr('trajectory_calibration.sources.files.read_bytes', counted)
+    monkeypatch.setattr('trajectory_calibration.sources.files.read_text', counted)
     a = write_pair(tmp_path)[0]
     status, out, _ = run(capsys, 'inspect', a, '--format', 'json')
     assert (status, reads) == (0, [Path(a)])

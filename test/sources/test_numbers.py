@@ -76,7 +76,7 @@ def test_lines_of_unequal_length():
 
 
 def test_fields_that_are_empty_or_blank_keep_their_place():
-    table = Table.parse(Path('x'), b'1, ,,a b,5,\n6,,7,, 8 ,\n')
+    table = Table.parse(Path('x'), '1, ,,a b,5,\n6,,7,, 8 ,\n')
     assert (len(table.line_numbers), table.width) == (2, 5)
     np.testing.assert_array_equal(table.read_numbers([0, 4]).values, [[1, 5], [6, 8]])
     np.testing.assert_array_equal(table.sample()[0], [1, np.nan, np.nan, np.nan, 5])

@@ -49,7 +49,7 @@ from trajectory_calibration.sources.structured import (
     structure_of,
     STRUCTURED,
 )
-from trajectory_calibration.sources.text import is_bag, read_bytes, Table
+from trajectory_calibration.sources.text import is_bag, read_text, Table
 from trajectory_calibration.sources.times import (
     judge_seconds,
     read_times,
@@ -125,12 +125,12 @@ class FileSource:
         kind = self.file_format
         if kind == 'npy' or (kind is None and is_array(path)):
             return self._table(read_array(path))
-        data = read_bytes(path)
+        text = read_text(path)
         if kind is None and self.columns is None:
-            kind = structure_of(path, data[:2000])
+            kind = structure_of(path, text)
         if kind in STRUCTURED:
-            return STRUCTURED[kind](path, data)
-        return self._table(Table.parse(path, data))
+            return STRUCTURED[kind](path, text)
+        return self._table(Table.parse(path, text))
 
     def _table(self, table: Table) -> RawPoses:
         """Return the poses of a table, all rows of it."""

@@ -87,28 +87,29 @@ def read_array(path: Path) -> ArrayTable:
     if array.ndim != 2 or not array.size:
         raise SourceError(f'{path} holds an array of shape {array.shape}; needed (N, 4, 4), '
                           '(N, 3, 4) or one row a pose')
-    return ArrayTable(path, b'', range(1, len(array) + 1), [], None, array.shape[1],
+    return ArrayTable(path, [], range(1, len(array) + 1), [], None, array.shape[1],
                       complete=True, array=array)
 
 
-def structure_of(path: Path, beginning: bytes) -> str | None:
+def structure_of(path: Path, text: str) -> str | None:
     """Return which of the ``STRUCTURED`` a text is, None for a table."""
-    if path.suffix == '.json' or beginning.lstrip().startswith(b'{'):
+    beginning = text[:2000].lstrip()
+    if path.suffix == '.json' or beginning.startswith('{'):
         return 'nerfstudio'
-    if path.suffix == '.g2o' or b'VERTEX_SE' in beginning or b'EDGE_SE' in beginning:
+    if path.suffix == '.g2o' or 'VERTEX_SE' in beginning or 'EDGE_SE' in beginning:
         return 'g2o'
-    if b'IMAGE_ID' in beginning and b'CAMERA_ID' in beginning:
+    if 'IMAGE_ID' in beginning and 'CAMERA_ID' in beginning:
         return 'colmap'
     return None
 
 
-def read_g2o(path: Path, data: bytes) -> RawPoses:
+def read_g2o(path: Path, text: str) -> RawPoses:
     """Return the vertices of a pose graph; their ids are numbers of frames."""
-    lines = [line for line in data.split(b'\n') if line.startswith(b'VERTEX_SE3:QUAT')]
+    lines = [line for line in text.split('\n') if line.startswith('VERTEX_SE3:QUAT')]
     if not lines:
-        planar = ': poses in the plane cannot serve' if b'VERTEX_SE2' in data else ''
+        planar = ': poses in the plane cannot serve' if 'VERTEX_SE2' in text else ''
         raise SourceError(f'{path} holds no VERTEX_SE3:QUAT{planar}')
-    table = Table.parse(path, b'\n'.join(lines) + b'\n')
+    table = Table.parse(path, '\n'.join(lines) + '\n')
     if table.width < 9:
         raise SourceError(f'{path}: a VERTEX_SE3:QUAT needs an id and 7 numbers')
     # Ids may be as large as 64 bits; the low ones count the poses of a robot.
@@ -119,20 +120,20 @@ def read_g2o(path: Path, data: bytes) -> RawPoses:
         table.read_numbers(list(range(2, 9))).values[order], None, numbers, kind='g2o')
 
 
-def read_colmap(path: Path, data: bytes) -> RawPoses:
+def read_colmap(path: Path, text: str) -> RawPoses:
     """Return the camera poses of an images.txt, which holds the world in the camera."""
     rows, names = [], []
-    for line in data.split(b'\n'):
+    for line in text.split('\n'):
         words = line.split(None, _COLMAP_COLUMNS - 1)
-        if line.startswith(b'#') or len(words) < _COLMAP_COLUMNS or (
-                is_number(words[-1].split()[0].decode('latin-1'))):
+        if line.startswith('#') or len(words) < _COLMAP_COLUMNS or (
+                is_number(words[-1].split()[0])):
             continue
-        rows.append(b' '.join(words[1:8]))
-        names.append(words[-1].decode('utf-8', errors='replace').strip())
+        rows.append(' '.join(words[1:8]))
+        names.append(words[-1].strip())
     if not rows:
         raise SourceError(f'{path} holds no images of COLMAP: IMAGE_ID, QW, QX, QY, QZ, TX, TY, '
                           'TZ, CAMERA_ID, NAME')
-    values = Table.parse(path, b'\n'.join(rows) + b'\n').read_numbers(list(range(7))).values
+    values = Table.parse(path, '\n'.join(rows) + '\n').read_numbers(list(range(7))).values
     norm = np.linalg.norm(values[:, :4], axis=1, keepdims=True)
     if not (np.abs(norm - 1) < 1e-2).all():
         raise SourceError(f'{path}: a quaternion (QW, QX, QY, QZ) is not of norm 1')
@@ -141,18 +142,18 @@ def read_colmap(path: Path, data: bytes) -> RawPoses:
     return _by_name(poses, names, path)
 
 
-def read_nerfstudio(path: Path, data: bytes) -> RawPoses:
+def read_nerfstudio(path: Path, text: str) -> RawPoses:
     """Return the ``transform_matrix`` of each frame of a transforms.json, as it stands.
 
     Its camera looks along -z with y up.
     """
     import json
     try:
-        frames = json.loads(data)['frames']
+        frames = json.loads(text)['frames']
         poses = np.array([_square(frame['transform_matrix']) for frame in frames], dtype=float)
         names = [str(frame.get('file_path', '')) for frame in frames]
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        what = 'is JSON, but no' if data.lstrip().startswith(b'{') else 'is no'
+        what = 'is JSON, but no' if text.lstrip().startswith('{') else 'is no'
         raise SourceError(f'{path} {what} transforms.json with "frames" that have a '
                           f'"transform_matrix" each ({in_words(error)})') from error
     if poses.shape[1:] != (4, 4):

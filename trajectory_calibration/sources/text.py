@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 import re
@@ -24,16 +24,16 @@ BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.zstd', '.zst')
 # How files of gzip, zip, bzip2, xz and zstd begin.
 _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 _LFS = b'version https://git-lfs.github.com/spec/'
-_COMMENTS = (b'#', b'%', b'//')
+_COMMENTS = ('#', '%', '//')
 _WORDS = re.compile(r'[,;\s]+')
 # How XML and JSON begin.
-_FOREIGN = re.compile(rb'\s*(<|\[?\s*\{)')
+_FOREIGN = re.compile(r'\s*(<|\[?\s*\{)')
 # A number with a comma before its decimals, as spreadsheets of many countries write it.
-_DECIMAL_COMMA = re.compile(rb'[-+]?\d+,\d+([eE][-+]?\d+)?')
+_DECIMAL_COMMA = re.compile(r'[-+]?\d+,\d+([eE][-+]?\d+)?')
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
-# Bytes that are read at once, which the caches of a processor hold.
-_BLOCK = 1 << 18
+# Rows that are read at once, which the caches of a processor hold.
+_BLOCK = 2048
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Table:
     Attributes
     ----------
     path : the file.
-    body : the rows, each with an end.
+    lines : the rows.
     line_numbers : where they stand in the file, from 1.
     headings : what the comment lines and a first line of words say, without their marks.
     separator : of the fields: a comma, or None for blanks.
@@ -54,7 +54,7 @@ class Table:
     """
 
     path: Path
-    body: bytes
+    lines: list[str]
     line_numbers: Sequence[int]
     headings: list[str]
     separator: str | None
@@ -63,52 +63,43 @@ class Table:
     notes: list[str] = field(default_factory=list)
 
     @classmethod
-    def parse(cls, path: Path, data: bytes) -> Table:
+    def parse(cls, path: Path, text: str) -> Table:
         """Make a table of the text of a file.
 
         Raise SourceError where it is no table, or its rows are of unequal length.
         """
-        foreign = _FOREIGN.match(data)
+        foreign = _FOREIGN.match(text)
         if foreign is not None:
-            kind = 'XML' if foreign[1] == b'<' else 'JSON'
+            kind = 'XML' if foreign[1] == '<' else 'JSON'
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
-        headings, start, first_line = _headings(data)
-        complete = data.endswith(b'\n')
-        body = data[start:] if complete else data[start:] + b'\n'
-        numbers: Sequence[int] = range(first_line, first_line + body.count(b'\n'))
-        if any(mark in body for mark in (b'#', b'%', b'/', b'\n\n')):
-            lines = body.splitlines(keepends=True)
-            rows = [row for row, line in enumerate(lines)
-                    if line.strip() and not line.lstrip().startswith(_COMMENTS)]
-            body, numbers = b''.join(lines[row] for row in rows), [numbers[row] for row in rows]
-        if not body or body.isspace():
-            marked = headings and all(line.encode().startswith(_COMMENTS) for line in headings)
-            raise SourceError(f'{path} holds no poses ({len(data)} bytes'
+        everything = text.split('\n')
+        headings, first = _headings(everything)
+        rows = [row for row, line in enumerate(everything[first:], first)
+                if line and not line.isspace() and not line.lstrip().startswith(_COMMENTS)]
+        if not rows:
+            marked = headings and all(line.startswith(_COMMENTS) for line in headings)
+            raise SourceError(f'{path} holds no poses ({len(text)} bytes'
                               f'{", all of them comments: # % //" if marked else ""})')
-        notes = []
-        line = body[:body.index(b'\n')]
-        fields = re.split(rb'[;\s]+', line.strip())
-        if len(fields) > 1 and b',' in line and all(
-                map(_DECIMAL_COMMA.fullmatch, (field for field in fields if b',' in field))):
-            body, line = body.replace(b',', b'.'), line.replace(b',', b'.')
+        lines, numbers, notes = [everything[row] for row in rows], [row + 1 for row in rows], []
+        fields = re.split(r'[;\s]+', lines[0].strip())
+        if len(fields) > 1 and ',' in lines[0] and all(
+                map(_DECIMAL_COMMA.fullmatch, (field for field in fields if ',' in field))):
+            lines = [line.replace(',', '.') for line in lines]
             notes.append('decimal commas: read as points')
         # Fields may be empty, and names hold blanks, where a heading has as many separators.
-        mark = next((mark for mark in ('\t', ';') if mark.encode() in line), ',')
-        like_heading = any(
-            heading.count(mark) == line.count(mark.encode()) for heading in headings)
-        if b',' not in line and (mark == ';' or like_heading):
-            body, line = (item.replace(mark.encode(), b',') for item in (body, line))
+        mark = next((mark for mark in '\t;' if mark in lines[0]), ',')
+        like_heading = any(heading.count(mark) == lines[0].count(mark) for heading in headings)
+        if ',' not in lines[0] and (mark == ';' or like_heading):
+            lines = [line.replace(mark, ',') for line in lines]
             headings = [heading.replace(mark, ',') for heading in headings]
-        if line.rstrip().endswith(b',') and not like_heading:
+        if not like_heading and all(line.rstrip().endswith(',') for line in lines):
             # A comma behind the last field of all rows means nothing; of some, a field is empty.
-            stripped, count = re.subn(rb',[ \t]*\n', b'\n', body)
-            body = stripped if count == len(numbers) else body
-        separator = ',' if b',' in line else None
-        table = cls(path, body, numbers, headings, separator, 0, complete, notes)
-        counts = [len(row.split(separator)) for row in table.ends()[0]]
-        table.width = max(counts, key=counts.count) if len(counts) > 2 else counts[0]
-        last = body[body.rfind(b'\n', 0, -1) + 1:].decode(errors='replace')
-        if len(numbers) > 1 and not complete and len(last.split(separator)) < table.width:
+            lines = [line.rstrip()[:-1] for line in lines]
+        separator = ',' if ',' in lines[0] else None
+        counts = [len(line.split(separator)) for line in lines[:_SAMPLE]]
+        width = max(counts, key=counts.count) if len(counts) > 2 else counts[0]
+        table = cls(path, lines, numbers, headings, separator, width, text.endswith('\n'), notes)
+        if len(lines) > 1 and not table.complete and len(lines[-1].split(separator)) < width:
             table.drop_last()
             table.complete = True
         return table
@@ -122,10 +113,8 @@ class Table:
         fields or fewer.
         """
         blocks: list[Numbers] = []
-        start = row = 0
-        while start < len(self.body):
-            end = self.body.index(b'\n', min(start + _BLOCK, len(self.body) - 1)) + 1
-            lines = self.body[start:end].decode(errors='replace').split('\n')[:-1]
+        for start in range(0, len(self.lines), _BLOCK):
+            lines = self.lines[start:start + _BLOCK]
             try:
                 blocks.append(read_columns(
                     lines, self.separator, self.width, columns, time_column, decimals))
@@ -133,44 +122,35 @@ class Table:
                 k, column, reason = error.args
                 word = lines[k].split(self.separator)[column].strip()
                 raise SourceError(
-                    f'{self.path}, line {self.line_numbers[row + k]}, column {column + 1}: '
-                    f'{shown(word)} {reason}') from None
+                    f'{self.path}, line {self.line_numbers[start + k]}, column {column + 1}: '
+                    f'{_shown(word)} {reason}') from None
             except ValueError as error:
-                self._require_even(lines, row)
+                self._require_even(start, start + len(lines))
                 raise SourceError(f'{self.path} cannot be read: {error}') from error
-            start, row = end, row + len(lines)
         return Numbers(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def sample(self) -> FloatArray:
         """Return (M, C) rows from the beginning and the end; NaN for words."""
-        first, last = self.ends()
-        self._require_even(first, 0)
-        self._require_even(last, len(self.line_numbers) - len(last))
+        last = max(len(self.lines) - _SAMPLE, _SAMPLE)
+        self._require_even(0, _SAMPLE)
+        self._require_even(last, len(self.lines))
         return np.array([[float(word) if is_number(word) else np.nan
-                          for word in line.split(self.separator)] for line in first + last])
-
-    def ends(self) -> tuple[list[str], list[str]]:
-        """Return some rows from the beginning, and some of the others from the end."""
-        end = self.body.index(b'\n', min(_BLOCK, len(self.body) - 1)) + 1
-        first = self.body[:end].decode(errors='replace').split('\n')[:-1][:_SAMPLE]
-        start = self.body.rfind(b'\n', 0, max(0, len(self.body) - _BLOCK)) + 1
-        last = self.body[start:].decode(errors='replace').split('\n')[:-1][-_SAMPLE:]
-        return first, last[max(0, len(first) + len(last) - len(self.line_numbers)):]
+                          for word in line.split(self.separator)]
+                         for line in self.lines[:_SAMPLE] + self.lines[last:]])
 
     def drop_last(self) -> None:
         """Leave out the last row, which a recorder that was killed left incomplete."""
         self.notes.append(f'the last line, {self.line_numbers[-1]}, is cut off: dropped')
-        self.body = self.body[:self.body.rfind(b'\n', 0, -1) + 1]
-        self.line_numbers = self.line_numbers[:-1]
+        self.lines, self.line_numbers = self.lines[:-1], self.line_numbers[:-1]
 
-    def _require_even(self, lines: Iterable[str], first: int) -> None:
-        """Raise SourceError where one of the rows from ``first`` on has another width."""
-        for row, line in enumerate(lines, first):
+    def _require_even(self, first: int, end: int) -> None:
+        """Raise SourceError where one of some rows has another width."""
+        for line, number in zip(self.lines[first:end], self.line_numbers[first:end], strict=True):
             count = len(line.split(self.separator))
             if count != self.width:
                 raise SourceError(
-                    f'{self.path}, line {self.line_numbers[row]}: {counted(count, "column")}, the '
-                    f'other lines have {self.width}; found {shown(line.strip())}')
+                    f'{self.path}, line {number}: {counted(count, "column")}, the '
+                    f'other lines have {self.width}; found {_shown(line.strip())}')
 
 
 def is_bag(path: Path) -> bool:
@@ -178,7 +158,7 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix in BAG_SUFFIXES
 
 
-def read_bytes(path: Path) -> bytes:
+def read_text(path: Path) -> str:
     """Return the content of a text file with plain line ends.
 
     Raise SourceError where the file cannot be read, or is no text.
@@ -195,15 +175,12 @@ def read_bytes(path: Path) -> bytes:
     if data.startswith(_PACKED):
         raise SourceError(f'{path} is a workbook; save it as CSV' if path.suffix == '.xlsx' else
                           f'{path} is compressed; unpack it first')
-    if data.startswith((b'\xff\xfe', b'\xfe\xff')):
-        data = data.decode('utf-16', errors='replace').encode()
-    if b'\0' in data:
-        raise SourceError(f'{path} is not text: it holds a zero byte at {data.index(0)}; needed '
-                          'a table of poses (docs/inputs.md)')
-    data = data.removeprefix(b'\xef\xbb\xbf')
-    if b'\r' in data:
-        data = data.replace(b'\r\n', b'\n').replace(b'\r', b'\n')
-    return data
+    wide = data.startswith((b'\xff\xfe', b'\xfe\xff'))
+    text = data.decode('utf-16' if wide else 'utf-8-sig', errors='replace')
+    if '\0' in text:
+        raise SourceError(f'{path} is not text: it holds a zero byte at {text.index(chr(0))}; '
+                          'needed a table of poses (docs/inputs.md)')
+    return text.replace('\r\n', '\n').replace('\r', '\n') if '\r' in text else text
 
 
 def refuse_pointer(path: Path, data: bytes) -> None:
@@ -213,34 +190,27 @@ def refuse_pointer(path: Path, data: bytes) -> None:
                           'git lfs pull')
 
 
-def shown(text: str | bytes) -> str:
+def _shown(text: str) -> str:
     """Return the beginning of a text in quotes."""
-    words = text.decode('utf-8', errors='replace') if isinstance(text, bytes) else text
-    return repr(words[:60] + '...' if len(words) > 60 else words)
+    return repr(text[:60] + '...' if len(text) > 60 else text)
 
 
-def _headings(data: bytes) -> tuple[list[str], int, int]:
-    """Return what stands before the numbers, where they begin, and in which line."""
+def _headings(lines: Sequence[str]) -> tuple[list[str], int]:
+    """Return what stands before the numbers, and in which line they begin, from 0."""
     # Above a table whose rows begin with a number, exporters write lines that do not.
-    last = _WORDS.split(data.rstrip()[-_BLOCK:].rpartition(b'\n')[2].decode(errors='replace'))
+    last = _WORDS.split(next(filter(str.strip, reversed(lines)), '').rstrip())
     by_first = is_number(last[0])
     headings: list[str] = []
-    start, number = 0, 1
-    while start < len(data):
-        end = data.find(b'\n', start)
-        end = len(data) if end < 0 else end
-        comment = data[start:end].lstrip().startswith(_COMMENTS)
-        line = data[start:end].decode(errors='replace').strip()
+    for k, line in enumerate(map(str.strip, lines)):
         words = _WORDS.split(line)
-        if line and not comment and (
+        if line and not line.startswith(_COMMENTS) and (
                 is_number(words[0]) and len(words) >= min(2, len(last)) if by_first else
                 any(map(is_number, words))
                 or any(not item.startswith(('#', '%')) for item in headings)):
-            break
+            return headings, k
         if line:
             headings.append(line)
-        start, number = end + 1, number + 1
-    return headings, min(start, len(data)), number
+    return headings, len(lines)
 
 
 def _like_a_topic(path: Path) -> bool:

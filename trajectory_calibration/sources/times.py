@@ -17,7 +17,7 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import TIME_UNITS
-from trajectory_calibration.sources.text import read_bytes, Table
+from trajectory_calibration.sources.text import read_text, Table
 
 # Times above these cannot be in the units before: since 1970, and no drive lasts 3000 years.
 _EPOCHS = (('ns', 1e17), ('us', 1e14), ('ms', 1e11))
@@ -92,26 +92,25 @@ def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]
     the time in a line is ignored. Blank and comment lines are skipped. Raise SourceError where a
     line holds no time.
     """
-    data = read_bytes(path)
-    lines = [line.strip() for line in data.split(b'\n')
-             if line.strip() and not line.lstrip().startswith((b'#', b'%'))]
-    if lines and re.match(rb'\d{4}-\d\d-\d\d[ T]', lines[0]):
+    lines = [line.strip() for line in read_text(path).split('\n')]
+    lines = [line for line in lines if line and not line.startswith(('#', '%'))]
+    if lines and re.match(r'\d{4}-\d\d-\d\d[ T]', lines[0]):
         try:
-            dates = np.array([line[:29].decode() for line in lines], dtype='datetime64[ns]')
+            dates = np.array([line[:29] for line in lines], dtype='datetime64[ns]')
         except ValueError as error:
             raise SourceError(f'{path} holds dates that cannot be read: {error}') from error
         return dates.astype(np.int64), np.isnat(dates)
-    words = [re.split(rb'[,;\s]', line, maxsplit=1)[0] for line in lines]
-    if words and not re.match(rb'[-+.\d]|nan$', words[0]):
+    words = [re.split(r'[,;\s]', line, maxsplit=1)[0] for line in lines]
+    if words and not re.match(r'[-+.\d]|nan$', words[0]):
         words = words[1:]
     return _stamps_of(words, path, unit)
 
 
 def _stamps_of(
-    words: list[bytes], path: Path, unit: str | None,
+    words: list[str], path: Path, unit: str | None,
 ) -> tuple[Stamps, NDArray[np.bool_]]:
     """Return the (N,) nanoseconds of times, and which of them are not finite."""
-    table = Table.parse(path, b'\n'.join(words) + b'\n')
+    table = Table.parse(path, '\n'.join(words) + '\n')
     numbers = table.read_numbers([], 0, TIME_UNITS[unit or time_unit_of(table.sample()[:, 0])])
     return numbers.stamps_ns, ~numbers.finite
 
@@ -123,7 +122,7 @@ def stamps_in_names(names: list[str], path: Path) -> tuple[Stamps | None, Stamps
     words = [(re.findall(r'\d+(?:\.\d+)?', stem) or [''])[-1] for stem in stems]
     if not all(words):
         return None, None
-    stamps_ns, _ = _stamps_of([word.encode() for word in words], path, None)
+    stamps_ns, _ = _stamps_of(words, path, None)
     if all(word == stem for word, stem in zip(words, stems, strict=True)) and (
             np.abs(stamps_ns) >= 1e8 * 1e9).all():
         return stamps_ns, None
