@@ -13,9 +13,10 @@ from typing import Any
 from trajectory_calibration.cli.progress import progress
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.sources.files import FORMATS, is_bag
+from trajectory_calibration.sources.files import FORMATS
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 from trajectory_calibration.sources.layouts import QUATERNION_ORDERS, TIME_UNITS
+from trajectory_calibration.sources.text import is_bag
 
 # Options of files that may be given for both sensors, or for one.
 _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (

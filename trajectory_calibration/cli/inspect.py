@@ -22,8 +22,8 @@ from trajectory_calibration.errors import (
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
-from trajectory_calibration.sources.files import is_bag
 from trajectory_calibration.sources.inputs import InputOptions, load_file
+from trajectory_calibration.sources.text import is_bag
 from trajectory_calibration.sources.transforms import TF_PREFIX
 
 if TYPE_CHECKING:

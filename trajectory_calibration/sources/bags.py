@@ -128,7 +128,11 @@ class BagReader:
         that can.
         """
         topics = {name: self._topic(name) for name in names if not names_frames(name)}
-        types = {topic: self._serving_type(topic) for topic in topics.values()}
+        for topic in topics.values():
+            if fault := self._fault(topic):
+                raise self._topic_error(fault)
+        types = {channel.topic: channel.msgtype for channel in self.channels
+                 if channel.topic in topics.values()}
         transforms = self._transform_topics() if len(topics) < len(names) else []
         if len(topics) < len(names) and not transforms:
             raise self._topic_error('no topic of transforms (/tf)')
@@ -180,12 +184,6 @@ class BagReader:
         topics = {channel.topic for channel in self.channels}
         other = name.removeprefix('/') if name.startswith('/') else f'/{name}'
         return other if name not in topics and other in topics else name
-
-    def _serving_type(self, topic: str) -> str:
-        fault = self._fault(topic)
-        if fault:
-            raise self._topic_error(fault)
-        return next(channel.msgtype for channel in self.channels if channel.topic == topic)
 
     def _fault(self, topic: str) -> str:
         """Say why a topic cannot serve as a trajectory; nothing where it can."""

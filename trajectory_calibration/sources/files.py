@@ -49,15 +49,13 @@ from trajectory_calibration.sources.structured import (
     structure_of,
     STRUCTURED,
 )
-from trajectory_calibration.sources.text import is_bag, read_text, Table
+from trajectory_calibration.sources.text import read_text, Table
 from trajectory_calibration.sources.times import (
     judge_seconds,
     read_times,
     time_unit_of,
 )
 from trajectory_calibration.sources.usable import UsablePoses
-
-__all__ = ['FORMATS', 'FileSource', 'is_bag']
 
 _TABLES = {'tum': TUM, 'euroc': EUROC, 'kitti': KITTI}
 FORMATS = (*_TABLES, *STRUCTURED, 'npy')

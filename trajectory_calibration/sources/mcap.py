@@ -17,7 +17,8 @@ _FOOTER = 0x02
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
 _CHUNK_INDEX, _STATISTICS, _DATA_END = 0x08, 0x0B, 0x0F
 _HEAD = struct.Struct('<BQ')
-_MESSAGE_HEAD = struct.Struct('<BQHIQQ')
+# The time is unsigned, but before 2262 that is the same, and NumPy takes what is damaged.
+_MESSAGE_HEAD = struct.Struct('<BQHIqQ')
 _FOOTER_BYTES = 29
 
 
@@ -74,9 +75,11 @@ class McapFile(Storage):
 
     def _read(self) -> Iterator[tuple[int, int, bytes]]:
         for opcode, start, end in self._walk():
-            with self.noting('records inside a chunk are damaged'):
-                yield from self._records(*(
-                    self._unpacked(start, end) if opcode == _CHUNK else (self._data, start, end)))
+            if opcode == _CHUNK:
+                with self.noting('records inside a chunk are damaged'):
+                    yield from self._records(*self._unpacked(start, end))
+            else:
+                yield from self._records(self._data, start, end)
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, start and end of each record of the data, over what is damaged."""

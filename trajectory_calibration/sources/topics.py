@@ -22,8 +22,6 @@ from trajectory_calibration.sources.edges import fault_words, FAULTS
 from trajectory_calibration.sources.transforms import parse_tf, TransformTree
 from trajectory_calibration.sources.usable import UsablePoses
 
-_INT64_MAX = 2**63 - 1
-
 
 @dataclass(frozen=True, eq=False)
 class TopicTrack:
@@ -155,7 +153,7 @@ class TopicCollector:
     def add(self, batch: Batch) -> None:
         """Take messages in the order in which the recorder got them."""
         ros1 = batch.channel.encoding == 'ros1'
-        self._received_ns.append(_stamps(batch.received_ns))
+        self._received_ns.append(np.array(batch.received_ns, dtype=np.int64))
         if self.msgtype == cdr.PATH:
             for k, message in enumerate(batch.messages, self.count):
                 self._add_path(message, k, ros1=ros1)
@@ -247,14 +245,6 @@ def transform_track(
         sum(item.unreadable for item in collectors), stamps_ns, stamps_ns, poses,
         np.zeros(len(stamps_ns), dtype=np.intp), ((parent, child),),
         refused=tuple(refused.tolist()), notes=tuple(notes))
-
-
-def _stamps(received_ns: list[int]) -> NDArray[np.int64]:
-    """Return times as an array; bags count in unsigned numbers, a damaged one may hold any."""
-    try:
-        return np.array(received_ns, dtype=np.int64)
-    except OverflowError:
-        return np.array([min(stamp_ns, _INT64_MAX) for stamp_ns in received_ns], dtype=np.int64)
 
 
 def _is_usable(path: cdr.Poses) -> bool:
