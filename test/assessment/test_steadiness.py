@@ -43,8 +43,8 @@ def changed(turn_deg=0.0, scale=1.0, *, slowly=False):
 @pytest.mark.parametrize(('change', 'words'), [
     ({'turn_deg': 2.0}, 'move on its mount'),
     ({'turn_deg': 4.0, 'slowly': True}, 'move on its mount'),
-    ({'scale': 0.6}, 'begin anew with another scale'),
-    ({'scale': 0.8, 'slowly': True}, 'begin anew with another scale'),
+    ({'scale': 0.6}, 'restart with another scale'),
+    ({'scale': 0.8, 'slowly': True}, 'restart with another scale'),
 ])
 def test_what_changes_on_the_way_is_named(change, words):
     finding, = found(RUN.a, changed(**change), 'extrinsic-unsteady')

@@ -204,7 +204,7 @@ def test_of_two_recordings_in_one_the_longest_stays():
     trajectory = Trajectory(stamps_ns, poses)
     assert np.array_equal(trajectory.stamps_ns, steps + 37)
     assert np.array_equal(trajectory.positions[:, 0], np.arange(25, 85))
-    assert 'dropped 25 poses: time began anew' in trajectory.warnings[0]
+    assert 'dropped 25 poses: time restarted' in trajectory.warnings[0]
 
 
 @pytest.mark.parametrize('order', [

@@ -378,4 +378,4 @@ def test_two_recordings_in_one_file_are_not_rounded_times(tmp_path):
         encoding='utf-8')
     trajectory = FileSource(path).load()
     assert len(trajectory) == 50
-    assert 'time began anew' in ' '.join(trajectory.warnings)
+    assert 'time restarted' in ' '.join(trajectory.warnings)

@@ -95,7 +95,7 @@ def unsteady(
         (f'{rounded(np.rad2deg(turned))} deg', turned), (f'{rounded(moved)} m', moved),
         (f'{scaled:+.1%} in scale', scaled)) if value)
     question = (f'did {frames[0]} or {frames[1]} move on its mount' if turned or moved else
-                f'did the SLAM of {frames[1]} begin anew with another scale')
+                f'did the SLAM of {frames[1]} restart with another scale')
     first = len(motions) * (_STEPS[found] if found < len(_STEPS) else _PARTS // 2) // _PARTS
     since_s = float(pairs.stamps_ns[motions.i[first]] - pairs.stamps_ns[0]) * 1e-9
     what = (f'the first {since_s:.0f} s and the rest of the drive differ by {by}'

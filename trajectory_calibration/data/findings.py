@@ -49,7 +49,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'recording-other': ('serious', 'a report of trajectories that the result was not made from'),
     'rig-clock': ('warning', 'the stamps of one sensor are late or early; corrected'),
     'rig-contradiction': ('serious', 'one sensor contradicts the others'),
-    'rig-groups': ('warning', 'groups of sensors share no motion; each is answered by itself'),
+    'rig-groups': ('warning', 'groups of sensors share no motion; each is calibrated separately'),
     'rig-loops': ('warning', 'loops of sensors do not close within the standard deviations'),
     'rig-mount-moved': ('serious', 'a sensor moved on its mount during the drive'),
     'rig-no-common-time': ('serious', 'a sensor shares no time with the others'),

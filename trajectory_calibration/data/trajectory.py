@@ -317,14 +317,14 @@ def _checked_stamps(
         if span > np.iinfo(np.int64).max:
             raise TrajectoryError(
                 f'the stamps reach over {span / (365.25 * 86400e9):.0f} years, needed less than '
-                '292; remove the strays, or is the unit nanoseconds?')
+                '292; remove the wrong stamps, or is the unit nanoseconds?')
     if np.all(stamps_ns[1:] > stamps_ns[:-1]):
         return stamps_ns, slice(None), []
     run, notes = longest_run(stamps_ns), []
     part = stamps_ns[run]
     if len(part) < len(stamps_ns):
-        notes.append(f'dropped {counted(len(stamps_ns) - len(part), "pose")}: time began anew '
-                     '(two recordings in one?), and the longest part stays')
+        notes.append(f'dropped {counted(len(stamps_ns) - len(part), "pose")}: time restarted '
+                     '(two recordings in one?); the longest part was kept')
     backwards = int(np.count_nonzero(part[1:] < part[:-1]))
     if backwards:
         notes.append('sorted the poses by stamp: time ran backwards in '

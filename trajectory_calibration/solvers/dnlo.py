@@ -76,7 +76,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     if kept < _LEAST_KEPT:
         raise MotionError(
             f'dnlo keeps {kept} of {counted(len(motions), "motion")}, needed at least '
-            f'{_LEAST_KEPT}: the squared residuals of the rest are above dnlo_c, {cost.c:g}. '
+            f'{_LEAST_KEPT}: the other squared residuals are above dnlo_c, {cost.c:g}. '
             'Raise dnlo_c or dnlo_min_inliers')
     return Solution(
         quadratic.polish(best.T_a_b[0], motions, weights), float(best.cost[0]), steps,
