@@ -161,7 +161,7 @@ def main():
           f'reference {arguments.reference}')
     tasks = (simulated_tasks(SIMULATED_RUNS, 0, ()) if arguments.data is None
              else published_tasks(simulation_runs(arguments.data), ()))
-    executor = Executor(jobs=arguments.jobs)
+    executor = Executor(processes=arguments.jobs)
     for kind, level in HARDEST.items():
         items = [(task, arguments.reference) for task in tasks
                  if (task.kind, task.level) == (kind, level)]

@@ -26,29 +26,30 @@ class Executor:
     Attributes
     ----------
     backend : 'joblib' for processes of this machine, 'dask' for a cluster.
-    jobs : processes; of a cluster, those of a local one. None: one for each core.
+    processes : of this machine, also for a local cluster; 0: one for each core.
     scheduler : address of a Dask cluster's scheduler; None starts a local cluster.
 
     """
 
     backend: str = BACKENDS[0]
-    jobs: int | None = None
+    processes: int = 0
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
         if self.backend not in BACKENDS:
             raise ConfigError(
                 f'backend {self.backend!r} is unknown; needed one of {", ".join(BACKENDS)}')
-        if self.jobs is not None and self.jobs < 1:
-            raise ConfigError(f'jobs is {self.jobs}, needed a whole number from 1 up')
+        if self.processes < 0:
+            raise ConfigError(
+                f'processes is {self.processes}, needed a whole number from 0 up')
         if self.scheduler is not None and self.backend != 'dask':
             raise ConfigError('a scheduler is given, but the backend is not dask; add --backend '
                               'dask')
 
     @property
-    def processes(self) -> int:
+    def count(self) -> int:
         """Return the number of processes on this machine."""
-        return self.jobs or os.cpu_count() or 1
+        return self.processes or os.cpu_count() or 1
 
     def unordered(
         self, function: Callable[[_Item], _Result], items: Sequence[_Item],
@@ -65,7 +66,7 @@ class Executor:
         joblib = require('joblib')
         # One thread each: the linear algebra here is too small to share.
         settings = {'backend': 'dask'} if self.backend == 'dask' else {
-            'backend': 'loky', 'n_jobs': self.processes, 'inner_max_num_threads': 1}
+            'backend': 'loky', 'n_jobs': self.count, 'inner_max_num_threads': 1}
         with self._cluster():
             with joblib.parallel_config(**settings):
                 try:
@@ -82,7 +83,8 @@ class Executor:
             except BrokenExecutor as error:
                 raise CalibrationError(
                     'a process that calibrates was ended from outside, as the system does where '
-                    'memory is short; use fewer (--jobs of fleet, processes of a rig)') from error
+                    'memory is short; use fewer (--processes of fleet, processes in RIG.yaml)'
+                ) from error
 
     def _cluster(self) -> AbstractContextManager[Any]:
         if self.backend != 'dask':
@@ -90,7 +92,7 @@ class Executor:
         distributed = require('distributed')
         if self.scheduler is None:
             return distributed.Client(
-                n_workers=self.processes, threads_per_worker=1, dashboard_address=None)
+                n_workers=self.count, threads_per_worker=1, dashboard_address=None)
         try:
             return distributed.Client(self.scheduler)
         except (OSError, ValueError) as error:

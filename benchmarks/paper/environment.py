@@ -36,7 +36,7 @@ def describe_executor(executor: Executor) -> str:
     """Return where tasks run, in words."""
     if executor.scheduler is not None:
         return f'Dask cluster at {executor.scheduler}'
-    return f'{executor.processes} processes by {executor.backend}'
+    return f'{executor.count} processes by {executor.backend}'
 
 
 def describe_machine() -> str:

@@ -171,7 +171,7 @@ def test_kitti_records(shared_data, sequence):
 def test_kitti_tables_are_of_the_solvers_that_were_asked_for(shared_data, tmp_path, monkeypatch):
     monkeypatch.setattr('benchmarks.paper.figures.draw_all', lambda *_: [])
     benchmark = PaperBenchmark(
-        tmp_path, shared_data, runs=1, solvers=('taylor', 'park'), executor=Executor(jobs=1))
+        tmp_path, shared_data, runs=1, solvers=('taylor', 'park'), executor=Executor(processes=1))
     text = run_paper(benchmark, lambda *_: None).read_text(encoding='utf-8')
     assert {row['solver'] for row in rows_of(tmp_path / 'kitti.csv')} == {'taylor', 'park'}
     chapter = text[text.index('## KITTI'):]
@@ -272,7 +272,7 @@ def test_a_folder_that_cannot_be_used(tmp_path):
 
 def test_an_interrupted_run_continues(tmp_path, monkeypatch):
     monkeypatch.setattr('benchmarks.paper.figures.draw_all', lambda *_: [])
-    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=QUICK, executor=Executor(jobs=1))
+    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=QUICK, executor=Executor(processes=1))
 
     def interrupt(done, _):
         if done == 7:
@@ -294,7 +294,7 @@ def test_an_interrupted_run_continues(tmp_path, monkeypatch):
 def test_a_summary_that_cannot_be_written(tmp_path, monkeypatch):
     monkeypatch.setattr('benchmarks.paper.figures.draw_all', lambda *_: [])
     (tmp_path / 'summary.md').mkdir()
-    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=('park',), executor=Executor(jobs=1))
+    benchmark = PaperBenchmark(tmp_path, runs=1, solvers=('park',), executor=Executor(processes=1))
     with pytest.raises(ResultError, match=r'summary.md cannot be written: Is a directory'):
         run_paper(benchmark, lambda *_: None)
 
@@ -306,7 +306,7 @@ def run_main(capsys, *arguments):
 
 
 def test_the_command_writes_tables_and_figures(tmp_path, capsys):
-    command = ('--runs', '2', '--seed', '5', '--solvers', 'park,dnlo', '--jobs', '1',
+    command = ('--runs', '2', '--seed', '5', '--solvers', 'park,dnlo', '--processes', '1',
                '--output', tmp_path)
     status, out, err = run_main(capsys, *command)
     assert (status, err) == (0, '')
@@ -336,7 +336,7 @@ def test_the_command_writes_tables_and_figures(tmp_path, capsys):
     (('--trajectories', 'published'), '--data'),
     (('--trajectories', 'mars'), 'mars'),
     (('--backend', 'cloud'), 'cloud'),
-    (('--jobs', '0'), 'jobs is 0'),
+    (('--processes', '-1'), 'processes is -1'),
     (('--scheduler', 'tcp://nowhere:1'), 'backend is not dask'),
 ])
 def test_wrong_use(capsys, tmp_path, options, message):
@@ -361,8 +361,8 @@ def double(item):
 
 
 def test_results_come_in_the_order_of_the_items():
-    assert list(in_order(Executor(jobs=2), double, range(40))) == list(range(0, 80, 2))
-    assert list(in_order(Executor(jobs=1), double, [])) == []
+    assert list(in_order(Executor(processes=2), double, range(40))) == list(range(0, 80, 2))
+    assert list(in_order(Executor(processes=1), double, [])) == []
 
 
 def test_dask_gives_what_joblib_gives():
@@ -371,7 +371,7 @@ def test_dask_gives_what_joblib_gives():
     # A cluster that is there already; test_cli_fleet.py has one that is started.
     with distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as cluster:
-        executors = Executor('dask', scheduler=cluster.scheduler_address), Executor(jobs=1)
+        executors = Executor('dask', scheduler=cluster.scheduler_address), Executor(processes=1)
         found, expected = (
             [[record.errors for record in result.records]
              for result in in_order(one, run_task, tasks)]
@@ -398,7 +398,7 @@ def test_joblib_of_ubuntu_which_knows_one_order_serves_on_one_machine(monkeypatc
         return new(return_as=return_as)
 
     monkeypatch.setattr(joblib, 'Parallel', old)
-    assert sorted(Executor(jobs=2).unordered(double, [3, 4])) == [(0, 6), (1, 8)]
+    assert sorted(Executor(processes=2).unordered(double, [3, 4])) == [(0, 6), (1, 8)]
     monkeypatch.setattr(Executor, '_cluster', nullcontext)
     monkeypatch.setattr(joblib, 'parallel_config', lambda **_: nullcontext())
     with pytest.raises(ConfigError, match=r'dask needs joblib 1\.4'):

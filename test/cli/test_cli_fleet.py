@@ -29,7 +29,7 @@ from trajectory_calibration.sources.storage import find_bag
 
 DAY_NS = 86_400 * 10**9
 STEP = np.array([0.08, 0, 0, 0, 0, np.deg2rad(1.5)])
-FAST = '--a', 'a.tum', '--b', 'b.tum', '--solver', 'park', '--jobs', '1'
+FAST = '--a', 'a.tum', '--b', 'b.tum', '--solver', 'park', '--processes', '1'
 
 
 def write_drives(folder, count, moved_from=None):
@@ -185,7 +185,7 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
 
     def finish(config):
         jobs = read_jobs([str(tmp_path / 'in' / 'drive0')], 'a.tum', 'b.tum', config)
-        (entry,) = run_jobs(jobs, folder, Executor(jobs=1))
+        (entry,) = run_jobs(jobs, folder, Executor(processes=1))
         (path,) = folder.iterdir()
         return entry.result, path, path.stat().st_mtime_ns
 
@@ -201,9 +201,9 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
 
 def test_a_process_that_was_killed_is_one_line():
     with pytest.raises(CalibrationError, match='a process that calibrates was ended from outside'):
-        list(Executor(jobs=2).unordered(os._exit, [1, 1]))
+        list(Executor(processes=2).unordered(os._exit, [1, 1]))
     # The next one has processes of its own.
-    assert sorted(Executor(jobs=2).unordered(abs, [-1, -2])) == [(0, 1), (1, 2)]
+    assert sorted(Executor(processes=2).unordered(abs, [-1, -2])) == [(0, 1), (1, 2)]
 
 
 def test_the_old_result_goes_when_the_new_one_is_there(drives, tmp_path, monkeypatch):
@@ -215,14 +215,14 @@ def test_the_old_result_goes_when_the_new_one_is_there(drives, tmp_path, monkeyp
 
     one, two = (read_jobs([str(drives / 'drive0')], 'a.tum', 'b.tum', CalibrationConfig(
         solver='taylor', reference=reference)) for reference in ('B5', 'B6'))
-    list(run_jobs(one, tmp_path / 'results', Executor(jobs=1)))
+    list(run_jobs(one, tmp_path / 'results', Executor(processes=1)))
     before = results()
     with monkeypatch.context() as patch:
         patch.setattr('trajectory_calibration.fleet.jobs.write_yaml', full)
         with pytest.raises(ResultError, match='disk full'):
-            list(run_jobs(two, tmp_path / 'results', Executor(jobs=1)))
+            list(run_jobs(two, tmp_path / 'results', Executor(processes=1)))
     assert results() == before == [one[0].file_name]
-    list(run_jobs(two, tmp_path / 'results', Executor(jobs=1)))
+    list(run_jobs(two, tmp_path / 'results', Executor(processes=1)))
     assert results() == [two[0].file_name]
 
 
@@ -252,7 +252,7 @@ def test_killed_half_way_it_goes_on(drives, tmp_path):
 @pytest.mark.once
 def test_dask_gives_the_same_table(drives, done, tmp_path, capsys):
     pytest.importorskip('distributed', reason='distributed is not installed')
-    options = [*FAST[:-2], '--jobs', '2', '--backend', 'dask']
+    options = [*FAST[:-2], '--processes', '2', '--backend', 'dask']
     status, _, err = run(capsys, 'fleet', f'{drives}/drive*', *options, '--output', tmp_path)
     assert status == 4, err
     assert (tmp_path / 'table.csv').read_text() == (done / 'table.csv').read_text()
@@ -274,7 +274,7 @@ jobs:
     jobs = read_jobs([str(tmp_path / 'jobs.yaml')], None, None, CalibrationConfig())
     assert [job.name for job in jobs] == ['monday', 'damaged', 'again', 'files']
     entries = {entry.name: entry for entry in run_jobs(
-        jobs, tmp_path / 'results', Executor(jobs=1))}
+        jobs, tmp_path / 'results', Executor(processes=1))}
     assert entries['damaged'].result is None
     assert 'broken.mcap' in entries['damaged'].failure
     assert entries['monday'].result.config.solver == 'park'
@@ -284,7 +284,7 @@ jobs:
     write_pair_bag(tmp_path / 'tuesday.mcap', count=90)
     status, out, err = run(
         capsys, 'fleet', f'{tmp_path}/*.mcap', '--a', '/lidar/odom', '--b', '/camera/pose',
-        '--solver', 'park', '--jobs', '1', '--output', tmp_path / 'out')
+        '--solver', 'park', '--processes', '1', '--output', tmp_path / 'out')
     assert status == 0, err
     assert 'broken: no answer: ' in err
     assert '1 of 3 gave no answer' in out
@@ -344,7 +344,7 @@ def test_a_direction_that_a_drive_leaves_open_is_named(capsys, tmp_path):
             write_tum(tmp_path / f'flat{k}' / f'{name}.tum', getattr(pair, name))
     status, out, err = run(
         capsys, 'fleet', f'{tmp_path}/flat*', *FAST[:4], '--solver', 'dnl', '--reference', 'B10',
-        '--jobs', '1', '--format', 'csv', '--output', tmp_path / 'out')
+        '--processes', '1', '--format', 'csv', '--output', tmp_path / 'out')
     assert status == 0, out + err
     assert [row['unobserved'] for row in csv.DictReader(io.StringIO(out))] == ['', 'z', 'z']
 

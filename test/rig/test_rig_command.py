@@ -509,7 +509,7 @@ def test_no_results_are_wrong_usage(tmp_path, capsys):
 
 
 def test_transforms_of_a_bag_and_priors_are_read(tmp_path):
-    (tmp_path / 'RIG.yaml').write_text("""bags: drive.mcap
+    (tmp_path / 'RIG.yaml').write_text("""bag: drive.mcap
 sensors:
   base: {tf: odom.base_link}
   camera: {topic: /camera, scale: free, prior_translation: '-,-,0.5',

@@ -67,7 +67,7 @@ def test_every_key_of_rig_yaml_is_described():
         *_SOURCES, *_READING, *_KNOWN_OF_SENSOR}
 
 
-RIG = {'base': 'a', 'bags': 'x.mcap', 'pairs': 'all', 'settings': {'max_time_offset': 1.0},
+RIG = {'base': 'a', 'bag': 'x.mcap', 'pairs': 'all', 'settings': {'max_time_offset': 1.0},
        'sensors': {'a': {'topic': '/a'}, 'b': {'file': 'b.tum', 'scale': 'free',
                                                'prior_translation': '-,-,1',
                                                'prior_translation_std': 0.1}}}

@@ -41,7 +41,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
     """Add where the tasks run."""
-    parser.add_argument('--jobs', type=int, metavar='N', help='processes (default: one per core)')
+    # --jobs is of version 0.1.
+    parser.add_argument('--processes', '--jobs', type=int, default=0, metavar='N',
+                        help='processes of this machine (default: one per core)')
     parser.add_argument(
         '--backend', default=Executor.backend, metavar='NAME',
         help=f'joblib, or dask for a cluster (default: {Executor.backend})')
@@ -75,4 +77,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 def executor_of(arguments: argparse.Namespace) -> Executor:
     """Return where the tasks run that ``add_executor_options`` let a person choose."""
-    return Executor(arguments.backend, arguments.jobs, arguments.scheduler)
+    return Executor(arguments.backend, arguments.processes, arguments.scheduler)

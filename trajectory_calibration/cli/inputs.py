@@ -25,6 +25,9 @@ _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
     ('quaternion-order', {'choices': QUATERNION_ORDERS,
                           'help': 'order of the four numbers of a quaternion'}),
     ('time-unit', {'choices': TIME_UNITS, 'help': 'unit of the times'}),
+    ('file-format', {'choices': FORMATS, 'help': 'format of the files (default: detected)'}),
+    ('invert', {'action': 'store_true',
+                'help': 'the files hold poses of the world in the sensor; invert them'}),
 )
 
 
@@ -40,19 +43,16 @@ def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -
     for name in 'ab':
         group.add_argument(
             f'--frame-{name}', metavar='FRAME', help=f'name of the frame of sensor {name}')
-        group.add_argument(f'--format-{name}', dest=f'file_format_{name}', choices=FORMATS,
-                           help=f'format of the file {name}')
         group.add_argument(
             f'--times-{name}', type=Path, metavar='FILE',
             help=f'file with the times of the poses of file {name}, one a line')
-        group.add_argument(
-            f'--invert-{name}', action='store_true',
-            help=f'{name} holds poses of the world in the sensor; invert them')
     for option, settings in _SHARED:
         group.add_argument(f'--{option}', **settings)
         for name in 'ab':
-            group.add_argument(
-                f'--{option}-{name}', **{**settings, 'help': f'the same, for file {name} alone'})
+            # --format-a is of version 0.1.
+            names = [option, 'format'] if option == 'file-format' else [option]
+            group.add_argument(*(f'--{item}-{name}' for item in names),
+                               **{**settings, 'help': f'the same, for {name} alone'})
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
@@ -65,22 +65,17 @@ def add_bag_argument(parser: argparse.ArgumentParser) -> None:
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of how to read files, for a command whose files are all alike."""
     parser.add_argument(
-        '--file-format', choices=FORMATS, help='format of the files (default: detected)')
-    parser.add_argument(
         '--times', type=Path, metavar='FILE', help='file with the times of the poses, one a line')
     for option, settings in _SHARED:
         parser.add_argument(f'--{option}', **settings)
-    parser.add_argument('--invert', action='store_true',
-                        help='the files hold poses of the world in the sensor; invert them')
 
 
 def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
     """Return what was given for sensor 'a' or 'b', or for all files alike ('')."""
     given = vars(arguments)
-    values: dict[str, Any] = {}
-    for item in fields(InputOptions):
-        own = given.get(f'{item.name}_{sensor}')
-        values[item.name] = given.get(item.name) if own is None else own
+    values: dict[str, Any] = {
+        item.name: given.get(f'{item.name}_{sensor}') or given.get(item.name)
+        for item in fields(InputOptions)}
     return InputOptions(**values)
 
 

@@ -72,8 +72,7 @@ def refuse_options(arguments: argparse.Namespace, names: Iterable[str], why: str
     """Raise ConfigError for the first of these options, by its attribute, that was given."""
     for name in names:
         if vars(arguments).get(name):
-            option = name.removeprefix('file_').replace('_', '-')
-            raise ConfigError(f'--{option} {why}')
+            raise ConfigError(f'--{name.replace("_", "-")} {why}')
 
 
 def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:

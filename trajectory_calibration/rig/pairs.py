@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import combinations
 from operator import itemgetter
-import os
 
 import numpy as np
 
@@ -114,7 +113,7 @@ def calibrate_pairs(
                   _thinned(trajectories[child], most), config) for parent, child in new]
         # Those of earlier pairs are started already.
         in_processes = in_processes or _need_processes(tasks, config.processes)
-        count = (config.processes or os.cpu_count() or 1) if in_processes else 1
+        count = Executor(processes=config.processes).count if in_processes else 1
         found.update(zip(map(frozenset, new), _run(tasks, count), strict=True))
         return sorted_out(found.values())[0]
 
@@ -174,5 +173,5 @@ def _run(tasks: Sequence[_Task], processes: int) -> list[PairAnswer | PairFailur
         return list(map(_calibrated, tasks))
     # Not forked: whoever calls may have threads, of ROS or a notebook, whose locks a copy of the
     # process would keep for ever.
-    found = Executor(jobs=count).unordered(_calibrated, tasks)
+    found = Executor(processes=count).unordered(_calibrated, tasks)
     return [answer for _, answer in sorted(found, key=itemgetter(0))]
