@@ -78,7 +78,7 @@ def test_a_number_serves_as_text():
 
 def test_one_number_stands_for_all_that_are_given():
     np.testing.assert_array_equal(
-        parse_prior('0.3,-,0.1', '0.02', '', '').translation_std, [0.02, np.inf, 0.02])
+        parse_prior('0.3,-,0.1', '0.02', '', '').std[:3], [0.02, np.inf, 0.02])
 
 
 @pytest.mark.parametrize('values', [
@@ -138,7 +138,7 @@ def test_about_an_unobserved_axis_it_is_the_minimum_of_both_costs_from_anywhere(
     def cost(turn):
         moved = se3.moved(truth, np.r_[np.zeros(3), turn])
         return (np.sum((moved[:3, :3] @ in_b - along)**2) / sigma**2
-                + np.sum((prior.deviation(moved)[3:] / prior.rotation_std)**2))
+                + np.sum((prior.deviation(moved)[3:] / prior.std[3:])**2))
 
     best = minimize(cost, np.zeros(3), method='BFGS', options={'gtol': 1e-9}).x
     turned = se3.step_between(truth, found)[3:]

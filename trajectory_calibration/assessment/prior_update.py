@@ -83,7 +83,7 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
         check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
                  f'{DEFAULT_SOLVER}, or drive so that the motion shows the rotation, about two '
                  'axes')
-        if not np.isfinite(prior.rotation_std).any():
+        if not np.isfinite(prior.std[3:]).any():
             what = 'prior of the translation'
             check = f'{check}, or give prior_rotation, too'
     raise ConfigError(
@@ -105,7 +105,7 @@ def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> F
     is zero if the rotation would move an observable translation.
     """
     axes, variances = _unobserved_axes(covariance)
-    if not (len(variances) and np.isfinite(prior.rotation_std).any()):
+    if not (len(variances) and np.isfinite(prior.std[3:]).any()):
         return np.zeros(6)
     along = covariance[:, 3:] @ axes / variances
     step: FloatArray = along @ _angles_to_prior(T_a_b[:3, :3], axes, prior)
@@ -118,9 +118,9 @@ def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> F
 
 def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> FloatArray:
     """Return (K,) radians about the columns of (3, K) axes that bring a rotation to the prior."""
-    known = np.isfinite(prior.rotation_std)
+    known = np.isfinite(prior.std[3:])
     # Normalised: a fixed component has 1e12 times the weight of a degree.
-    weight = 1.0 / np.maximum(prior.rotation_std[known], FIXED)
+    weight = 1.0 / np.maximum(prior.std[3:][known], FIXED)
     weight = weight / weight.max()
 
     def deviation(angles: FloatArray) -> FloatArray:

@@ -64,11 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     if others or not any((results / job.file_name).exists() for job in jobs):
         require_new([*(arguments.output / name for name in FILES), *others],
                     force=arguments.force)
-    order = {job.name: k for k, job in enumerate(jobs)}
     with progress('calibrating') as draw:
-        entries = list(run_jobs(jobs, results, executor_of(arguments), draw))
+        done = {entry.name: entry
+                for entry in run_jobs(jobs, results, executor_of(arguments), draw)}
     # Whichever was done first, and wherever: the same table.
-    entries.sort(key=lambda entry: order[entry.name])
+    entries = [done[job.name] for job in jobs]
     for entry in entries:
         if entry.result is None:
             print(f'{entry.name}: no answer: {entry.failure}', file=sys.stderr)

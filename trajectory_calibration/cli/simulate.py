@@ -147,18 +147,18 @@ def _write(pair: SimulatedPair, arguments: argparse.Namespace) -> str:
     """Write the files; return the command that calibrates them."""
     folder: Path = arguments.output
     make_folder(folder, SourceError)
-    truth, a, b, bag = (folder / name for name in ('truth.tum', 'a.tum', 'b.tum', 'bag'))
     inputs: list[Path | str]
     if arguments.format == 'tum':
-        inputs = [a, b]
-        write_tum(a, pair.a)
-        write_tum(b, pair.b)
+        inputs = [folder / 'a.tum', folder / 'b.tum']
+        for path, trajectory in zip(inputs, pair[:2], strict=True):
+            write_tum(Path(path), trajectory)
     else:
-        inputs = ['--bag', bag, *TOPICS]
-        write_bag(bag, dict(zip(TOPICS, (pair.a, pair.b), strict=True)),
+        inputs = ['--bag', folder / 'bag', *TOPICS]
+        write_bag(folder / 'bag', dict(zip(TOPICS, pair[:2], strict=True)),
                   message=arguments.message, storage=arguments.format)
-    write_transform(truth, pair.T_a_b)
+    write_transform(folder / 'truth.tum', pair.T_a_b)
     offset = (arguments.clock_offset_a or 0.0) - (arguments.clock_offset_b or 0.0)
     clocks = ['--time-offset', f'{offset:.12g}'] if offset else []
     return shlex.join(map(str, [
-        'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', truth, *clocks]))
+        'trajectory_calibration', 'calibrate', *inputs, '--ground-truth', folder / 'truth.tum',
+        *clocks]))

@@ -29,21 +29,14 @@ class Prior:
     Attributes
     ----------
     translation : (3,), metres, of b in a; zero where unknown.
-    translation_std : (3,), metres.
     rotation : (3, 3), of b in a.
-    rotation_std : (3,), radians, about the fixed axes x, y, z of a.
+    std : (6,), metres and radians, in the order of the covariance.
 
     """
 
     translation: FloatArray
-    translation_std: FloatArray
     rotation: FloatArray
-    rotation_std: FloatArray
-
-    @property
-    def std(self) -> FloatArray:
-        """Return (6,) standard deviations in the order of the covariance."""
-        return np.concatenate([self.translation_std, self.rotation_std])
+    std: FloatArray
 
     @property
     def given(self) -> bool:
@@ -77,7 +70,7 @@ def parse_prior(
             f'prior_rotation is {rotation_rpy_deg!r}, needed roll, pitch and yaw: they mean '
             'nothing one without the other; write - for an axis in prior_rotation_std')
     R = se3.rotation_from_roll_pitch_yaw(np.deg2rad(np.nan_to_num(angles)))
-    return Prior(np.nan_to_num(t), t_std, R, np.deg2rad(angle_std))
+    return Prior(np.nan_to_num(t), R, np.concatenate([t_std, np.deg2rad(angle_std)]))
 
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
