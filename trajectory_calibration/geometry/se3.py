@@ -274,3 +274,21 @@ def geodesic(start: ArrayLike, end: ArrayLike, fraction: ArrayLike) -> FloatArra
     T_0 = np.asarray(start, dtype=np.float64)
     s = np.asarray(fraction, dtype=np.float64)
     return T_0 @ exp_se3(s[..., None] * log_se3(inverse(T_0) @ np.asarray(end)))
+
+
+def registration(poses_a: FloatArray, poses_b: FloatArray) -> FloatArray:
+    """Return (4, 4), what moves (K, 4, 4) poses b as a whole onto a, by rotations and positions.
+
+    Positions alone do not tell a rotation about a straight line.
+    """
+    R_a, R_b = poses_a[:, :3, :3], poses_b[:, :3, :3]
+    by_rotation = np.einsum('kij,klj->il', R_a, R_b) / len(poses_a)
+    p_a, p_b = poses_a[:, :3, 3], poses_b[:, :3, 3]
+    mean_a, mean_b = p_a.mean(axis=0), p_b.mean(axis=0)
+    by_position = (p_a - mean_a).T @ (p_b - mean_b) / len(p_a)
+    R = nearest_rotation(by_rotation)
+    # Each counts by how well it agrees.
+    turn = np.mean(rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_b) ** 2)
+    shift = np.mean(np.sum((p_a - mean_a - (p_b - mean_b) @ R.T) ** 2, axis=1))
+    R = nearest_rotation(by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
+    return from_rotation_translation(R, mean_a - R @ mean_b)

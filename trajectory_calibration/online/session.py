@@ -24,7 +24,7 @@ from trajectory_calibration.online.motion import Motion, NO_MOTION
 from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.outputs.placement import Placement
-from trajectory_calibration.outputs.report.tracks import corrected_b, registration
+from trajectory_calibration.outputs.report.tracks import corrected_b
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.align import match_at
@@ -57,7 +57,7 @@ def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Ove
     pairs = pairs.thinned(-(-len(pairs) // _MOST_POSES))
     poses_a, poses_b = pairs.poses_a, pairs.poses_b @ se3.inverse(result.T_a_b)
     return Overlay(a.world_frame, pairs.stamps_ns, poses_a,
-                   registration(poses_a, poses_b) @ poses_b)
+                   se3.registration(poses_a, poses_b) @ poses_b)
 
 
 class Calibration(NamedTuple):

@@ -12,6 +12,7 @@ import numpy as np
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted
+from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import CARE, FAILED, GOOD, INCOMPLETE, sizes, TITLES
 from trajectory_calibration.outputs.report.drawings import evenly
@@ -27,7 +28,6 @@ from trajectory_calibration.outputs.report.page import (
 )
 from trajectory_calibration.outputs.report.record import Record, record_cards
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
-from trajectory_calibration.outputs.report.tracks import registration
 from trajectory_calibration.outputs.report.view3d import HIGH, WIDE
 from trajectory_calibration.outputs.rig_screen import (
     clock_text,
@@ -156,7 +156,7 @@ def _laid(grid: Grid) -> FloatArray:
     for s, (poses, known) in enumerate(zip(grid.poses, grid.known, strict=True)):
         both = grid.known[0] & known
         if np.count_nonzero(both) >= 3:
-            Z = registration(grid.poses[0, both], poses[both])
+            Z = se3.registration(grid.poses[0, both], poses[both])
             found[s, known] = (Z @ poses[known])[:, :3, 3]
     return found
 

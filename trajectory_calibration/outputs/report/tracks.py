@@ -115,7 +115,7 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     poses_b = _in_time(poses_b, pairs.stamps_ns, diagnosis.get('latency_s', 0.0))
     pairs = replace(pairs, poses_b=poses_b)
     poses_c = pairs.poses_b @ se3.inverse(result.T_a_b)
-    poses_c = registration(pairs.poses_a, poses_c) @ poses_c
+    poses_c = se3.registration(pairs.poses_a, poses_c) @ poses_c
     jumps = _jumps(diagnosis.get('jumps', ()), pairs, poses_c)
     usable = np.ones(len(pairs) - 1, dtype=bool)
     usable[jumps - 1] = False
@@ -189,24 +189,6 @@ def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float
     moved = poses_b.copy()
     moved[:, :3, 3] += latency_s * known[:, None] * np.gradient(poses_b[:, :3, 3], seconds, axis=0)
     return moved
-
-
-def registration(poses_a: FloatArray, poses_c: FloatArray) -> FloatArray:
-    """Return (4, 4), what moves (K, 4, 4) poses c as a whole onto a, by rotations and positions.
-
-    Positions alone would leave a turn about a straight drive open.
-    """
-    R_a, R_c = poses_a[:, :3, :3], poses_c[:, :3, :3]
-    by_rotation = np.einsum('kij,klj->il', R_a, R_c) / len(poses_a)
-    p_a, p_c = poses_a[:, :3, 3], poses_c[:, :3, 3]
-    mean_a, mean_c = p_a.mean(axis=0), p_c.mean(axis=0)
-    by_position = (p_a - mean_a).T @ (p_c - mean_c) / len(p_a)
-    R = se3.nearest_rotation(by_rotation)
-    # Each counts by how well it agrees.
-    turn = np.mean(se3.rotation_angle(np.swapaxes(R_a, 1, 2) @ R @ R_c) ** 2)
-    shift = np.mean(np.sum((p_a - mean_a - (p_c - mean_c) @ R.T) ** 2, axis=1))
-    R = se3.nearest_rotation(by_rotation / max(turn, 1e-12) + by_position / max(shift, 1e-12))
-    return se3.from_rotation_translation(R, mean_a - R @ mean_c)
 
 
 def _jumps(
