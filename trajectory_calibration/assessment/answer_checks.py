@@ -11,7 +11,7 @@ hold.
 east-north-up, or its yaw may refer to magnetic north. The rotations then agree with those of the
 other sensor, and on flat ground the translations do too, with an extrinsic that is wrong by the
 angle between the two worlds. But rotation equations and translation equations have different
-solutions for the rotation of b in a. On ground that is not flat both are observable.
+solutions for the rotation of b in a. On ground that is not flat both are observed.
 """
 
 from __future__ import annotations

@@ -14,16 +14,16 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import DEFAULT_SOLVER
 
 # The update is linear in the rotation up to about this angle, degrees. A rotation axis with a
-# larger standard deviation is unobservable: the rotation about it is arbitrary.
+# larger standard deviation is unobserved: the rotation about it is arbitrary.
 _LARGEST_ROTATION_DEG = 15.0
 
-# A rotation is about unobservable axes if more than this share of it is.
+# A rotation is about unobserved axes if more than this share of it is.
 _MOSTLY = 0.7
 
-# Displacement, metres, that may come with a rotation about an unobservable axis.
+# Displacement, metres, that may come with a rotation about an unobserved axis.
 _NO_DISPLACEMENT = 1e-6
 
-# Angles about a single unobservable axis that are tried, and iterations that refine the best one.
+# Angles about a single unobserved axis that are tried, and iterations that refine the best one.
 _ANGLES = 72
 _MAX_REFINEMENTS = 50
 
@@ -37,7 +37,7 @@ def apply_prior(
     """Return the answer and its (6, 6) covariance updated with the prior.
 
     A least-squares problem in six unknowns, iterated because of the rotation (iterated Kalman
-    update). About unobservable axes it starts at the prior. Raises ConfigError if the prior
+    update). About unobserved axes it starts at the prior. Raises ConfigError if the prior
     rotates the answer too far for a linear update.
     """
     if not prior.given:
@@ -55,7 +55,7 @@ def apply_prior(
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
         observe = observe[known]
         # Scaled by the covariance, with the rows of the prior first: a fixed component has 1e13
-        # times the weight of an unobservable direction.
+        # times the weight of an unobserved direction.
         Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
         # The answer of the motion alone is at -start.
         expected = (deviation[known] + observe @ (step + start)) / std
@@ -92,17 +92,17 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
 
 
 def _unobserved_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (3, K) unobservable rotation axes and their (K,) variances."""
+    """Return the (3, K) unobserved rotation axes and their (K,) variances."""
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
     unobserved = variances > np.deg2rad(_LARGEST_ROTATION_DEG)**2
     return axes[:, unobserved], variances[unobserved]
 
 
 def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
-    """Return the (6,) step about the unobservable axes that brings an answer closest to the prior.
+    """Return the (6,) step about the unobserved axes that brings an answer closest to the prior.
 
     The rotation about such an axis may be wrong by any angle, too far for a linear step. The step
-    is zero if the rotation would move an observable translation.
+    is zero if the rotation would move an observed translation.
     """
     axes, variances = _unobserved_axes(covariance)
     if not (len(variances) and np.isfinite(prior.std[3:]).any()):

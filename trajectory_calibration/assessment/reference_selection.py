@@ -86,7 +86,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     except (MotionError, SolverError) as error:
         # The chosen solver decides whether the motion is enough.
         return ReferenceChoice(usual, f'{usual}: nothing to judge by; {error}')
-    directions, variance = _observable(known, config)
+    directions, variance = _observed(known, config)
     expected: dict[str, float] = {}
     for reference in _candidates(pairs):
         motions = select_motions(pairs, reference, _ENOUGH)
@@ -110,14 +110,14 @@ def _candidates(pairs: PosePairs) -> list[str]:
     return ['A', *(f'B{lag}' for lag in lags_b), *(f'C{lag}' for lag in lags_c if lag > 1)]
 
 
-def _observable(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:
-    """Return the (K, 6) observable directions and the sum of their variances, m^2.
+def _observed(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray, float]:
+    """Return the (K, 6) observed directions and the sum of their variances, m^2.
 
     A direction times a step (dt, dtheta) is a displacement in metres.
     """
     unit = np.repeat([1.0, _DISTANCE], 3)
     variances, axes = np.linalg.eigh(known.covariance * np.outer(unit, unit))
-    # Along unobservable directions no answer is better than another.
+    # Along unobserved directions no answer is better than another.
     seen = variances < config.unobserved_translation**2
     # Rounding may make a variance negative.
     return axes[:, seen].T * unit, float(np.maximum(variances[seen], 0.0).sum())

@@ -73,7 +73,7 @@ def unsteady(
     H, g = _information(T_a_b, motions)
     information = np.diagonal(H.sum(axis=0))
     most = np.maximum.reduceat(information, _KINDS)[[0, 0, 0, 1, 1, 1, 2]]
-    # Unobservable unknowns, such as the height on flat ground, keep almost no information.
+    # Unobserved directions, such as the height on flat ground, keep almost no information.
     unit = np.sqrt(np.maximum(np.where(information > _UNSEEN**2 * most, information, most),
                               np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit

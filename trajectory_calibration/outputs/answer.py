@@ -245,6 +245,6 @@ def _angle_statuses(
     share = to_angles**2 * variance
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
     counts = share > _MAIN_SHARE
-    # Every axis counts somewhere: an open one must be seen.
+    # Every axis counts somewhere: an unobserved one must be seen.
     counts[np.abs(to_angles).argmax(axis=0), np.arange(3)] = True
     return [min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED) for row in counts]

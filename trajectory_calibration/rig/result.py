@@ -181,7 +181,7 @@ class RigResult:
 
     @property
     def unobserved(self) -> dict[str, tuple[str, ...]]:
-        """Return the open components of the sensors that have some."""
+        """Return the unobserved components of the sensors that have some."""
         return {name: sensor.unobserved for name, sensor in self.sensors.items()
                 if sensor.unobserved}
 

@@ -50,7 +50,7 @@ _ENOUGH = 400
 # Precision of the extrinsic of a preliminary search, radians.
 _ROUGHLY = 1e-5
 
-# With one motion the axis of its rotation is unobservable.
+# With one motion the axis of its rotation is unobserved.
 _LEAST_KEPT = 2
 
 # Starts of the alternation: consecutive parts of the drive, each solved alone.

@@ -31,7 +31,7 @@ from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 # but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
 _UNOBSERVED = 1e-12
 
-# Weight of the regularisation of an unobservable rotation, relative to the rotation part.
+# Weight of the regularisation of an unobserved rotation, relative to the rotation part.
 _HOLD = 1e-9
 
 # Standard deviation, metres, from which a translation is meaningless: far beyond
@@ -79,7 +79,7 @@ class Minimum:
     T_a_b : (4, 4).
     cost : value of the quadratic form.
     iterations : Newton iterations of all starts together.
-    form : (13, 13), the form, regularised in unobservable directions.
+    form : (13, 13), the form, regularised in unobserved directions.
 
     """
 
@@ -167,7 +167,7 @@ def minimise(
 ) -> Minimum:
     """Minimise ``v^T G v`` over rotations and translations, from many starts at once.
 
-    Unobservable directions are as near as possible to the prior, or to zero and the identity
+    Unobserved directions are as near as possible to the prior, or to zero and the identity
     without one. ``starts`` are (S, 3, 3) rotations; the 24 of a cube
     where omitted.
     """

@@ -60,7 +60,7 @@ def find_clock_drift(
 ) -> ClockDrift | None:
     """Return the clock drift of b, given the best constant offset of its stamps.
 
-    None if the drift is not significant, not observable from the rotations, or implausibly large.
+    None if the drift is not significant, not shown by the rotations, or implausibly large.
     For a clock that was stepped it is the best straight line, and ``uneven_s`` is not zero.
     """
     increments = RotationIncrements.over_windows(a, b, offset_ns, cell_ns)

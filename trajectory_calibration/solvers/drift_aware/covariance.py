@@ -11,7 +11,7 @@ from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
-# A direction is exactly unobservable below this share of the largest information; its standard
+# A direction is exactly unobserved below this share of the largest information; its standard
 # deviation is then a kilometre.
 _ROUNDING, _FAR = 1e-11, 1e3
 
@@ -22,7 +22,7 @@ _ABSCISSAE = np.linspace(-8.0, 8.0, 2001)
 
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pseudo-inverse, and the covariance of exactly unobservable directions."""
+    """Return the pseudo-inverse, and the covariance of exactly unobserved directions."""
     diagonal = np.diag(bread)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(bread * np.outer(scale, scale))
@@ -42,8 +42,8 @@ def _prior_precision_of_latency(fit: Fit, A: FloatArray) -> float:
     """
     prior = fit.prior.copy()
     prior[LATENCY] = 0.0
-    known, unobservable = _inverse(A / fit.phi + np.diag(prior))
-    of_data = 1 / (known + unobservable)[LATENCY, LATENCY]
+    known, unobserved = _inverse(A / fit.phi + np.diag(prior))
+    of_data = 1 / (known + unobserved)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
     precision = of_data + _LONG_LATENCY_S**-2
     middle = (of_data + fit.prior[LATENCY]) * mode / precision
@@ -64,8 +64,8 @@ def covariance(fit: Fit) -> FloatArray:
     prior = fit.prior.copy()
     prior[:6] = 0.0
     prior[LATENCY] = _prior_precision_of_latency(fit, A)
-    inverse, unobservable = _inverse(A / fit.phi + np.diag(prior))
+    inverse, unobserved = _inverse(A / fit.phi + np.diag(prior))
     scores = back.T @ middle @ back / fit.phi**2
-    result = inverse @ (scores + np.diag(prior)) @ inverse + unobservable
+    result = inverse @ (scores + np.diag(prior)) @ inverse + unobserved
     result = np.where(np.outer(fit.free, fit.free), result, 0.0)
     return 0.5 * (result + result.T)

@@ -45,7 +45,7 @@ SCALE, DRIFT, LATENCY, OFFSET = 6, slice(7, 10), 10, 11
 TERMS = {'scale': slice(6, 7), 'systematic_drift': DRIFT, 'time_offset': slice(11, 12)}
 HALF_WIDTH = np.array([0.01, 0.002, 0.002, 0.002, 0.005, 0.005])
 
-# A very weak prior of the extrinsic, a kilometre and any angle: unobservable directions stay
+# A very weak prior of the extrinsic, a kilometre and any angle: unobserved directions stay
 # finite and have a large covariance.
 _OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
 
