@@ -32,8 +32,8 @@ _FOREIGN = re.compile(r'\s*(<|\[?\s*\{)')
 _DECIMAL_COMMA = re.compile(r'[-+]?\d+,\d+([eE][-+]?\d+)?')
 # Rows from the beginning and from the end by which a layout is known.
 _SAMPLE = 200
-# Rows that are read at once, which the caches of a processor hold.
-_BLOCK = 2048
+# Rows that are read at once.
+_BLOCK = 8192
 
 
 @dataclass
@@ -74,13 +74,15 @@ class Table:
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
         everything = text.split('\n')
         headings, first = _headings(everything)
-        rows = [row for row, line in enumerate(everything[first:], first)
-                if line and not line.isspace() and not line.lstrip().startswith(_COMMENTS)]
-        if not rows:
+        # Most rows begin with a digit, which is quickly seen.
+        numbers = [number for number, line in enumerate(everything[first:], first + 1)
+                   if '0' <= line < ':' or (
+                       line.strip() and not line.lstrip().startswith(_COMMENTS))]
+        if not numbers:
             marked = headings and all(line.startswith(_COMMENTS) for line in headings)
             raise SourceError(f'{path} holds no poses ({len(text)} bytes'
                               f'{", all of them comments: # % //" if marked else ""})')
-        lines, numbers, notes = [everything[row] for row in rows], [row + 1 for row in rows], []
+        lines, notes = [everything[number - 1] for number in numbers], []
         fields = re.split(r'[;\s]+', lines[0].strip())
         if len(fields) > 1 and ',' in lines[0] and all(
                 map(_DECIMAL_COMMA.fullmatch, (field for field in fields if ',' in field))):
