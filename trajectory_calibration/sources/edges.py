@@ -135,18 +135,6 @@ def fault_words(refused: Iterable[int]) -> str:
     return ', '.join(f'{count} {why}' for count, why in zip(refused, FAULTS, strict=True) if count)
 
 
-def covered(at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which times lie on a stamp, or between two that are no gap apart."""
-    if len(stamps_ns) == 0:
-        return np.zeros(len(at_ns), dtype=bool)
-    right = np.searchsorted(stamps_ns, at_ns)
-    left = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
-    inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
-    step = stamps_ns[np.minimum(right, len(stamps_ns) - 1)] - stamps_ns[left]
-    found: NDArray[np.bool_] = inside & (step <= longest_step_ns(stamps_ns))
-    return found
-
-
 def longest_step_ns(stamps_ns: NDArray[np.int64]) -> float:
     """Return the time between two of (N,) stamps, nanoseconds, beyond which they are a gap."""
     usual = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
@@ -155,20 +143,24 @@ def longest_step_ns(stamps_ns: NDArray[np.int64]) -> float:
 
 def interpolated(
     stamps_ns: NDArray[np.int64], poses: FloatArray, at_ns: NDArray[np.int64],
-) -> FloatArray:
-    """Return (M, 4, 4) poses at (M,) times within the (N,) stamps of (N, 7) poses.
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return (M, 4, 4) poses at (M,) times of (N, 7) poses at (N,) stamps, and which of them hold.
 
-    On the straight line in position and the great arc in orientation, as tf2 has it.
+    On the straight line in position and the great arc in orientation, as tf2 has it. A pose holds
+    on a stamp, and between two that are no gap apart.
     """
-    right = np.searchsorted(stamps_ns, at_ns)
-    left = np.searchsorted(stamps_ns, at_ns, side='right') - 1
-    step = np.maximum(stamps_ns[right] - stamps_ns[left], 1)
-    share = ((at_ns - stamps_ns[left]) / step)[:, None]
+    right = np.minimum(np.searchsorted(stamps_ns, at_ns), len(stamps_ns) - 1)
+    left = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
+    step = stamps_ns[right] - stamps_ns[left]
+    inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
+    holds: NDArray[np.bool_] = inside & (step <= longest_step_ns(stamps_ns))
+    share = (np.where(inside, at_ns - stamps_ns[left], 0) / np.maximum(step, 1))[:, None]
     start, end = matrices(poses[left]), matrices(poses[right])
     R = start[:, :3, :3]
     turn = se3.log_so3(np.swapaxes(R, 1, 2) @ end[:, :3, :3])
     return se3.from_rotation_translation(
-        R @ se3.exp_so3(share * turn), (1.0 - share) * start[:, :3, 3] + share * end[:, :3, 3])
+        R @ se3.exp_so3(share * turn),
+        (1.0 - share) * start[:, :3, 3] + share * end[:, :3, 3]), holds
 
 
 def matrices(poses: FloatArray) -> FloatArray:

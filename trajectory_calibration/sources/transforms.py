@@ -30,7 +30,6 @@ from trajectory_calibration.errors import ConfigError, counted, TopicError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.edges import (
-    covered,
     Edge,
     fault_words,
     interpolated,
@@ -296,18 +295,17 @@ def _compose(
 ) -> tuple[NDArray[np.int64], FloatArray]:
     sampled = {link.edge: link.edge.ordered(notes) for link in links}
     stamps_ns = sampled[stamps_of][0]
-    for edge, (own_ns, _) in sampled.items():
-        if edge is stamps_of or edge.static:
-            continue
-        inside = covered(stamps_ns, own_ns)
-        if not inside.all():
-            notes.append(f'left out {np.count_nonzero(~inside)} of '
-                         f'{counted(len(inside), "pose")}: {edge} has no transform at their time')
-        stamps_ns = stamps_ns[inside]
-    result = np.broadcast_to(np.eye(4), (len(stamps_ns), 4, 4))
-    for link in links:
-        own_ns, poses = sampled[link.edge]
-        moved = (np.broadcast_to(matrices(poses[-1:]), (len(stamps_ns), 4, 4))
-                 if link.edge.static else interpolated(own_ns, poses, stamps_ns))
-        result = result @ (moved if link.downwards else se3.inverse(moved))
-    return stamps_ns, result
+    keep, result = np.ones(len(stamps_ns), dtype=bool), np.eye(4)
+    for edge, downwards in links:
+        own_ns, poses = sampled[edge]
+        if edge.static:
+            moved = matrices(poses[-1:])
+        else:
+            moved, holds = interpolated(own_ns, poses, stamps_ns)
+            lost = np.count_nonzero(keep & ~holds)
+            if lost:
+                notes.append(f'left out {lost} of {counted(int(np.count_nonzero(keep)), "pose")}: '
+                             f'{edge} has no transform at their time')
+            keep &= holds
+        result = result @ (moved if downwards else se3.inverse(moved))
+    return stamps_ns[keep], result[keep]
