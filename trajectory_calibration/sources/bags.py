@@ -59,13 +59,8 @@ class BagSource:
     def load(self) -> Trajectory:
         """Read the topic.
 
-        Raises
-        ------
-        SourceError
-            A bag cannot be read, or the topic holds fewer than two usable poses.
-        TopicError
-            No such topic, or it cannot serve; the message lists those that can.
-
+        Raise SourceError where a bag cannot be read, or the topic holds fewer than two usable
+        poses; TopicError where it cannot serve or is none, with those that can.
         """
         with open_bags(self.bags) as reader:
             track = reader.read([self.topic])[self.topic]
@@ -141,8 +136,9 @@ class BagReader:
         for name in names:
             if name in topics:
                 topic = topics[name]
-                track = join_tracks(topic, types[topic], without_repeats(
-                    [(str(bag.path), collector.track()) for bag, collector in found[topic]]))
+                track = join_tracks(topic, types[topic], without_repeats([
+                    (str(bag.path), part) for bag, collector in found[topic]
+                    for part in collector.tracks()]))
             else:
                 tf = _filled(found, transforms)
                 track = transform_track(name, transform_tree(tf), tf)

@@ -47,8 +47,6 @@ POSE_TYPES = tuple(_REST)
 TRAJECTORY_TYPES = (*POSE_TYPES, PATH)
 
 _POSE_BYTES = 56
-# Groups of equal messages that are looked for in a block; the rest is read one by one.
-_MAX_GROUPS = 8
 
 # header.frame_id and child_frame_id.
 TwoFrames = tuple[str, str]
@@ -150,17 +148,12 @@ def _groups(
         indices = np.flatnonzero(lengths == length)
         rows = np.frombuffer(b''.join([messages[k] for k in indices.tolist()]), dtype=np.uint8)
         rows = rows.reshape(len(indices), length)
-        for _ in range(_MAX_GROUPS):
-            if not len(indices):
-                break
+        while len(indices):
             fields = _walked(messages[indices[0]], msgtype, ros1=ros1)
             same = _same(rows, [slice(None)] if fields is None else fields.deciding)
             # All of them, as they mostly are, need no copy.
             yield (indices, rows, fields) if same.all() else (indices[same], rows[same], fields)
             indices, rows = indices[~same], rows[~same]
-        for k, index in enumerate(indices.tolist()):
-            yield (indices[k:k + 1], rows[k:k + 1],
-                   _walked(messages[index], msgtype, ros1=ros1))
 
 
 def _same(rows: NDArray[np.uint8], deciding: Sequence[slice]) -> NDArray[np.bool_]:

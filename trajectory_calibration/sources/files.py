@@ -89,13 +89,8 @@ class FileSource:
     def load(self) -> Trajectory:
         """Read the file.
 
-        Raises
-        ------
-        ConfigError
-            An option that is unknown or does not fit.
-        SourceError
-            The file cannot be read, is empty, or its layout is unknown or ambiguous.
-
+        Raise ConfigError for an option that is unknown or does not fit; SourceError where the
+        file cannot be read, is empty, or its layout is unknown or ambiguous.
         """
         return self.load_described()[0]
 

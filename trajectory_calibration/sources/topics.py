@@ -168,22 +168,22 @@ class TopicCollector:
         """Return when each message was received, (N,)."""
         return np.concatenate(self._received_ns)
 
-    def track(self) -> TopicTrack:
-        """Return everything that was taken; of Paths those that may count."""
+    def tracks(self) -> list[TopicTrack]:
+        """Return everything that was taken, for ``join_tracks``; of Paths those that may count."""
         groups = [self.found] if self.found else []
         unreadable = self.unreadable
         if self.msgtype == cdr.PATH:
             held = self._held_path()
             unreadable += held is None and self.count > 0
             groups = [[path] for path in (*self.found, held) if path is not None]
-        parts = []
+        # What counts messages holds no poses.
+        tracks = [TopicTrack(self.topic, self.msgtype, self.count, unreadable)]
         for found in groups:
             index, messages, stamps_ns, poses = _joined(found)
-            parts.append(TopicTrack(
+            tracks.append(TopicTrack(
                 self.topic, self.msgtype, 0, 0, stamps_ns, self.received_ns()[messages], poses,
                 index, tuple(item.frames for item in found)))
-        return replace(join_tracks(self.topic, self.msgtype, parts), messages=self.count,
-                       unreadable=unreadable)
+        return tracks
 
     def _add_path(self, message: bytes, index: int, *, ros1: bool) -> None:
         """Keep a path if it replaces the one that is held.

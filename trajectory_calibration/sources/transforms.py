@@ -3,18 +3,9 @@
 """The pose of one frame in another out of many transforms: what tf2 answers, without ROS.
 
 A robot publishes ``map -> odom`` and ``odom -> base_link`` separately, each at its own times.
-``TransformTree`` holds such edges and composes a chain of them, under these rules:
-
-* A pose is given at each stamp of the edge that changes most often (of several that change
-  about as often, the one next to the child).
-* The other edges are interpolated at that stamp: linearly in position, along the great arc in
-  orientation, as tf2 does. Nothing is extrapolated, and nothing interpolated across a gap.
-* A static edge holds at all times.
-* Where the time of an edge runs backwards by more than a second, a simulation or a bag began
-  anew: the longest part stays.
-
-``ChainFollower`` does the same while the transforms arrive. Frame names lose a leading slash,
-as tf2 wants it.
+``TransformTree`` holds such edges and composes a chain of them; ``ChainFollower`` does the same
+while the transforms arrive. docs/inputs.md has the rules: which stamps the poses get, and what is
+interpolated. Frame names lose a leading slash, as tf2 wants it.
 """
 
 from __future__ import annotations
