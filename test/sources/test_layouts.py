@@ -191,6 +191,9 @@ EXPORTS = {
     'ros2 topic echo --csv: frames between the numbers': (
         '', lambda row: ','.join([*row[0].split('.'), 'map', 'base_link', *row[1:], *'000']),
         {'quaternion_order': 'xyzw'}),
+    'quotes': (
+        '"t","x","y","z","qx","qy","qz","qw"',
+        lambda row: ','.join(f'"{item}"' for item in row), {}),
     'seconds and nanoseconds by their names': (
         'timestamp_sec,timestamp_nsec,x,y,z,qx,qy,qz,qw',
         lambda row: ','.join([*row[0].split('.'), *row[1:]]), {}),
@@ -350,6 +353,9 @@ def test_times_of_kitti_raw_and_of_lists_of_images(tmp_path):
     times.write_text('#timestamp [ns],filename\n' + ''.join(
         f'{stamp},{stamp}.png\n' for stamp in STAMPS_NS), encoding='utf-8')
     assert _is_right(FileSource(path, times=times).load())
+    times.write_text('frame,time,exposure\n' + ''.join(
+        f'{k:05d},{stamp}, 0.01\n' for k, stamp in enumerate(STAMPS_NS)), encoding='utf-8')
+    assert _is_right(FileSource(path, times=times).load())
 
 
 def _unpadded(stamps_ns):
@@ -435,6 +441,18 @@ def test_angles_whose_unit_the_heading_says(tmp_path, heading, factor):
         x, y, z = (se3.exp_so3(angle * axis) for angle, axis in zip(
             (roll, pitch, yaw), np.eye(3), strict=True))
         np.testing.assert_allclose(R, z @ y @ x, atol=1e-12)
+
+
+def test_a_rotation_vector_is_read_where_the_user_says_so(tmp_path):
+    vectors = se3.log_so3(T[:, :3, :3])
+    rows = [','.join(map(repr, [stamp, *w, *p])) for stamp, w, p in zip(
+        STAMPS_NS.tolist(), vectors.tolist(), POSES[:, :3].tolist(), strict=True)]
+    path = tmp_path / 'a.csv'
+    path.write_text('time,rx,ry,rz,x,y,z\n' + '\n'.join(rows) + '\n', encoding='utf-8')
+    with pytest.raises(SourceError, match=(
+            r'--columns t,rx,ry,rz,x,y,z \(a .* or --columns t,roll,pitch,yaw,x,y,z')):
+        FileSource(path).load()
+    assert _is_right(FileSource(path, columns='t,rx,ry,rz,x,y,z').load())
 
 
 def test_angles_without_a_unit_are_refused_with_both_options(tmp_path):

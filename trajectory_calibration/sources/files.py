@@ -39,6 +39,7 @@ from trajectory_calibration.sources.layouts import (
     QUATERNION,
     QUATERNION_ORDERS,
     ROTATION,
+    ROTATION_VECTOR,
     TIME_UNITS,
     TUM,
 )
@@ -243,6 +244,9 @@ def _poses(values: FloatArray, layout: Layout) -> FloatArray:
     T[:, :3, 3], T[:, 3, 3] = values[:, :3], 1.0
     if layout.at(ROTATION):
         T[:, :3, :3] = values[:, 3:].reshape(-1, 3, 3)
+        return T
+    if layout.at(ROTATION_VECTOR):
+        T[:, :3, :3] = se3.exp_so3(values[:, 3:])
         return T
     unit = np.pi / 180 if 'roll_deg' in layout.columns else 1.0
     T[:, :3, :3] = se3.rotation_from_roll_pitch_yaw(unit * values[:, 3:])

@@ -33,7 +33,7 @@ POSITION, QUATERNION = ('x', 'y', 'z'), ('qx', 'qy', 'qz', 'qw')
 _LAST_COLUMN = ('r14', 'r24', 'r34')
 ROTATION = tuple(f'r{i}{j}' for i in '123' for j in '123')
 _MATRIX = ('r11', 'r12', 'r13', 'x', 'r21', 'r22', 'r23', 'y', 'r31', 'r32', 'r33', 'z')
-_ANGLES = ('roll', 'pitch', 'yaw')
+_ANGLES, ROTATION_VECTOR = ('roll', 'pitch', 'yaw'), ('rx', 'ry', 'rz')
 _DEGREES, _RADIANS = (
     tuple(f'{name}_{unit}' for name in _ANGLES) for unit in ('deg', 'rad'))
 
@@ -47,7 +47,7 @@ class Layout:
     source : how this is known, for messages.
     columns : where the file has what: ``t``, or ``sec`` and ``nsec``, or in their place the
         ``number`` of the frame; x, y, z; qx, qy, qz, qw, or r11 to r33, or roll, pitch, yaw, or
-        the same in degrees, roll_deg.
+        the same in degrees, roll_deg, or a rotation vector, rx, ry, rz.
     unit : of the time, 's', 'ms', 'us' or 'ns'; None where its size must tell.
 
     """
@@ -65,7 +65,8 @@ class Layout:
     def pose_columns(self) -> list[int]:
         """Return all columns of the pose: the position, then the orientation."""
         return self.at(POSITION) + (
-            self.at(QUATERNION) or self.at(ROTATION) or self.at(_ANGLES) or self.at(_DEGREES))
+            self.at(QUATERNION) or self.at(ROTATION) or self.at(_ANGLES) or self.at(_DEGREES)
+            or self.at(ROTATION_VECTOR))
 
     def at(self, names: Sequence[str]) -> list[int]:
         """Return the columns of such names, none unless there are all of them."""
@@ -118,14 +119,15 @@ def from_names(text: str, width: int) -> Layout:
         role = _role(name)
         if role is None:
             raise ConfigError(f'columns: {name!r} is unknown; needed names such as {_TUM}, or '
-                              'sec,nsec for t, r11 to r33, roll,pitch,yaw (roll_deg for degrees)')
+                              'sec,nsec for t, r11 to r33, roll,pitch,yaw (roll_deg for degrees), '
+                              'rx,ry,rz')
         if role in roles:
             raise ConfigError(f'columns {text!r} names {name} twice')
         roles[role] = column
     layout = _layout(roles, '--columns')
     if layout is None:
         raise ConfigError(f'columns {text!r} names no complete pose; needed x,y,z and qx,qy,qz,qw '
-                          'or r11 to r33 or roll,pitch,yaw')
+                          'or r11 to r33 or roll,pitch,yaw or rx,ry,rz')
     return layout
 
 
@@ -169,6 +171,10 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
             in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
             raise SourceError('the heading names roll, pitch and yaw without their unit; say '
                               f'--columns {said} (radians) or --columns {in_degrees}')
+        if layout is not None and 'rx' in layout.columns:
+            in_angles = said.replace('rx', 'roll').replace('ry', 'pitch').replace('rz', 'yaw')
+            raise SourceError(f'the heading names rx, ry and rz: say --columns {said} (a rotation '
+                              f'vector, radians) or --columns {in_angles}')
         return layout
     return None
 
@@ -230,8 +236,10 @@ def from_numbers(
 _HINTS = {
     3: ': positions without an orientation cannot be calibrated',
     4: ': positions without an orientation cannot be calibrated',
-    6: ': three angles? Then --columns x,y,z,roll,pitch,yaw (radians; roll_deg: degrees)',
-    7: ': three angles? Then --columns t,x,y,z,roll,pitch,yaw (radians; roll_deg: degrees)',
+    6: ': three angles? Then --columns x,y,z,roll,pitch,yaw (radians; roll_deg: degrees; '
+       'rx,ry,rz: rotation vector)',
+    7: ': three angles? Then --columns t,x,y,z,roll,pitch,yaw (radians; roll_deg: degrees; '
+       'rx,ry,rz: rotation vector)',
 }
 
 
@@ -307,7 +315,8 @@ def _layout(roles: dict[str, int], source: str) -> Layout | None:
         return next((names for names in choices if roles.keys() >= {*names}), ())
 
     position = first_complete(POSITION, _LAST_COLUMN)
-    orientation = first_complete(QUATERNION, ROTATION, _DEGREES, _RADIANS, _ANGLES)
+    orientation = first_complete(
+        QUATERNION, ROTATION, _DEGREES, _RADIANS, _ANGLES, ROTATION_VECTOR)
     if not position or not orientation:
         return None
     columns = {name: roles[role] for name, role in zip(POSITION, position, strict=True)}
@@ -355,6 +364,8 @@ def _role(name: str) -> str | None:
     if axis in _ANGLES:
         return next(
             (f'{axis}_{one}' for one in ('deg', 'rad') if one in (last, unit[:3])), axis)
+    if last in ROTATION_VECTOR:
+        return last
     if matrix := re.fullmatch(r'[rm]_?([1-3])_?([1-4])', '_'.join(words)):
         return f'r{matrix[1]}{matrix[2]}'
     if joined := _JOINED.fullmatch(last):

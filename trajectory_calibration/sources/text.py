@@ -72,7 +72,7 @@ class Table:
         if foreign is not None:
             kind = 'XML' if foreign[1] == '<' else 'JSON'
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
-        everything = text.split('\n')
+        everything = text.replace('"', '').split('\n')
         headings, first = _headings(everything)
         # Most rows begin with a digit, which is quickly seen.
         numbers = [number for number, line in enumerate(everything[first:], first + 1)

@@ -88,9 +88,9 @@ def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
 def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
     """Return the times of a file, one a line, and which of them are not finite.
 
-    Seconds, or another unit that their size tells, or dates as KITTI writes them; what follows
-    the time in a line is ignored. Blank and comment lines are skipped. Raise SourceError where a
-    line holds no time.
+    Seconds, or another unit that their size tells, or dates as KITTI writes them; the number of
+    the frame before the time is ignored, and so is what follows. Blank and comment lines are
+    skipped. Raise SourceError where a line holds no time.
     """
     lines = [line.strip() for line in read_text(path).split('\n')]
     lines = [line for line in lines if line and not line.startswith(('#', '%'))]
@@ -100,10 +100,14 @@ def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]
         except ValueError as error:
             raise SourceError(f'{path} holds dates that cannot be read: {error}') from error
         return dates.astype(np.int64), np.isnat(dates)
-    words = [re.split(r'[,;\s]', line, maxsplit=1)[0] for line in lines]
-    if words and not re.match(r'[-+.\d]|nan$', words[0]):
-        words = words[1:]
-    return _stamps_of(words, path, unit)
+    rows = [re.split(r'[,;\s]+', line, maxsplit=2) for line in lines]
+    if rows and not re.match(r'[-+.\d]|nan$', rows[0][0]):
+        rows = rows[1:]
+    # The time may stand behind the number of its frame.
+    numbered = len(rows) > 1 and rows[0][1:2] != rows[-1][1:2] and all(
+        len(row) > 1 and row[0].isdigit() and int(row[0]) - k in (0, 1)
+        and re.match(r'\d', row[1]) for k, row in enumerate(rows))
+    return _stamps_of([row[numbered] for row in rows], path, unit)
 
 
 def _stamps_of(
