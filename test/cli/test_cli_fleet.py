@@ -179,6 +179,34 @@ def test_from_another_folder_it_is_the_same_run(drives, tmp_path, capsys, monkey
         path: path.stat().st_mtime_ns for path in (tmp_path / 'out' / 'results').iterdir()}
 
 
+def test_a_bag_a_day_goes_on_from_the_first_day(tmp_path, capsys):
+    """Alone, the bag of the first day needs no name of its folder; with others it does."""
+    fleet = ('fleet', f'{tmp_path}/day*/bag.mcap', '--a', '/lidar/odom', '--b', '/camera/pose',
+             '--solver', 'park', '--jobs', '1', '--output', tmp_path / 'out')
+    for day, status in ((1, 1), (2, 0), (3, 0)):
+        (tmp_path / f'day{day}').mkdir()
+        write_pair_bag(tmp_path / f'day{day}' / 'bag.mcap', count=80 + day)
+        before = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob('out/results/*')}
+        found, _, err = run(capsys, *fleet)
+        assert found == status, err
+        after = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob('out/results/*')}
+        # Only the new bag was calibrated.
+        assert len(after) == day
+        assert before.items() <= after.items()
+
+
+def test_recordings_of_one_size_and_time_are_told_by_their_beginnings(drives, tmp_path):
+    for k in range(2):
+        (tmp_path / f'{k}').mkdir()
+        for name in 'ab':
+            text = (drives / f'drive{k}' / f'{name}.tum').read_text()[:3000].ljust(3000)
+            (tmp_path / f'{k}' / f'{name}.tum').write_text(text)
+            os.utime(tmp_path / f'{k}' / f'{name}.tum', ns=(DAY_NS, DAY_NS))
+    one, two = (read_jobs([str(tmp_path / f'{k}')], 'a.tum', 'b.tum', CalibrationConfig())[0]
+                for k in range(2))
+    assert one.fingerprint != two.fingerprint
+
+
 def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
     shutil.copytree(drives / 'drive0', tmp_path / 'in' / 'drive0')
     folder = tmp_path / 'results'

@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     results = arguments.output / 'results'
     others = results_of_others(results, jobs)
     # An earlier part of the same run is gone on with.
-    if others or not any((results / job.file_name).exists() for job in jobs):
+    if others or not any(results.glob('*.yaml')):
         require_new([*(arguments.output / name for name in FILES), *others],
                     force=arguments.force)
     with progress('calibrating') as draw:

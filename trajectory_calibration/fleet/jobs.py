@@ -8,13 +8,16 @@ A job that has a result file is done: a run that was killed goes on where it was
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 import glob
 import hashlib
 from itertools import chain
 import json
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from trajectory_calibration.config.file_names import file_names
 from trajectory_calibration.config.settings import CalibrationConfig
@@ -33,6 +36,9 @@ from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 from trajectory_calibration.sources.storage import as_counted
 from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
+
+# Of a fingerprint, and the bytes of a file that have part in it.
+_DIGITS, _BEGINNING = 8, 65_536
 
 # What one job may say, and all of them together beside the list of jobs; how to read a and b.
 _OF_JOB = ('a', 'b', 'bag', 'name', 'config')
@@ -61,24 +67,27 @@ class Job:
     options_a: InputOptions = field(default_factory=InputOptions)
     options_b: InputOptions = field(default_factory=InputOptions)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
         """Return 8 digits that change with the settings, the inputs and the version.
 
-        Not with where the inputs lie: seen from another folder, they are the same.
+        Not with where the inputs lie, nor with the name, which may depend on the other jobs.
         """
         options = self.options_a, self.options_b
         topics = (self.a, self.b) if self.bags else ()
-        stats = []
+        told = []
         for path in map(Path, (*(self.bags or (self.a, self.b)),
                                *(item.times for item in options if item.times))):
-            files = sorted(path.iterdir()) if path.is_dir() else [path]
-            stats += [(item.name, item.stat().st_size, item.stat().st_mtime_ns)
-                      for item in files if item.exists()]
+            for item in sorted(path.iterdir()) if path.is_dir() else [path]:
+                # What cannot be read has no result either.
+                with suppress(OSError), item.open('rb') as stream:
+                    stat = item.stat()
+                    told.append((item.name, stat.st_size, stat.st_mtime_ns,
+                                 crc32(stream.read(_BEGINNING))))
         said = json.dumps([
             topics, asdict(self.config), *(asdict(replace(item, times=None)) for item in options),
-            stats, __version__], sort_keys=True)
-        return hashlib.sha256(said.encode()).hexdigest()[:8]
+            told, __version__], sort_keys=True)
+        return hashlib.sha256(said.encode()).hexdigest()[:_DIGITS]
 
     @property
     def file_name(self) -> str:
@@ -201,8 +210,13 @@ def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
 
 def results_of_others(folder: Path, jobs: Sequence[Job]) -> list[Path]:
     """Return the results in a folder that other jobs, settings, inputs or versions left there."""
-    own = {job.file_name for job in jobs}
-    return sorted(path for path in folder.glob(f'*-{"[0-9a-f]" * 8}.yaml') if path.name not in own)
+    own = {job.fingerprint for job in jobs}
+    return [path for path, fingerprint in _results(folder) if fingerprint not in own]
+
+
+def _results(folder: Path) -> list[tuple[Path, str]]:
+    return [(path, path.stem[-_DIGITS:])
+            for path in sorted(folder.glob(f'*-{"[0-9a-f]" * _DIGITS}.yaml'))]
 
 
 def run_jobs(
@@ -217,7 +231,8 @@ def run_jobs(
     """
     make_folder(folder, ResultError)
     others = results_of_others(folder, jobs)
-    saved = [Entry(job.name, _saved(folder / job.file_name)) for job in jobs]
+    paths = {fingerprint: path for path, fingerprint in _results(folder)}
+    saved = [Entry(job.name, _saved(paths.get(job.fingerprint))) for job in jobs]
     waiting = [job for job, entry in zip(jobs, saved, strict=True) if entry.result is None]
     entries = chain((entry for entry in saved if entry.result is not None),
                     _calibrated(waiting, folder, executor))
@@ -229,12 +244,11 @@ def run_jobs(
         path.unlink(missing_ok=True)
 
 
-def _saved(path: Path) -> CalibrationResult | None:
-    try:
-        return CalibrationResult.load(path)
-    except ResultError:
-        # Not there yet, spoilt, or of another version.
-        return None
+def _saved(path: Path | None) -> CalibrationResult | None:
+    # One that was spoilt, or is of another version, is made anew.
+    with suppress(ResultError):
+        return None if path is None else CalibrationResult.load(path)
+    return None
 
 
 def _calibrated(jobs: Sequence[Job], folder: Path, executor: Executor) -> Iterator[Entry]:
