@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 import re
@@ -24,7 +24,7 @@ FORMS = (
     'in metres and radians; URDF <origin>; KITTI calib file; Kalibr camchain; Autoware sensor '
     'kit; a saved result; an export of this tool')
 
-
+_AS_POSE = 'taken as the pose of b in a'
 _T = TypeVar('_T')
 
 
@@ -55,34 +55,33 @@ def read_extrinsic(
 
     """
     file, key = Path(path), None
-    name, mark, picked = str(path).rpartition('#')
-    if mark and not file.exists():
-        file, key = Path(name), picked
+    if '#' in str(path) and not file.exists():
+        name, _, key = str(path).rpartition('#')
+        file = Path(name)
     try:
         data = file.read_bytes()
-    except OSError as error:
-        raise SourceError(f'{file} cannot be read: {error.strerror or error}') from error
-    if data.startswith(b'\x93NUMPY'):
-        try:
+        if data.startswith(b'\x93NUMPY'):
             matrix = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
-        except ValueError as error:
-            raise SourceError(f'{file} cannot be read as a NumPy array: {error}') from error
-        return KnownExtrinsic(_rigid(matrix, file), '4 x 4 array, taken as the pose of b in a')
-    try:
+            return KnownExtrinsic(_rigid(matrix, file), f'4 x 4 array, {_AS_POSE}')
         text = data.decode('utf-8-sig')
     except UnicodeDecodeError:
         raise SourceError(f'{file} is no text; needed {FORMS}') from None
+    except ValueError as error:
+        raise SourceError(f'{file} cannot be read as a NumPy array: {error}') from error
+    except OSError as error:
+        raise SourceError(f'{file} cannot be read: {error.strerror or error}') from error
     if text.lstrip().startswith('<'):
         return _from_urdf(FrameTree.parse(text, file), key, frame_a, frame_b)
     if file.suffix in ('.yaml', '.yml', '.json'):
         found = parse_yaml(text, f'{file} cannot be read as YAML', SourceError)
-        return _from_mapping(found, file, key, frame_a, frame_b)
-    lines = [line.strip() for line in text.splitlines()]
-    lines = [line for line in lines if line and not line.startswith('#')]
-    named = [re.fullmatch(r'(\w+):(.*)', line) for line in lines]
-    if any(named):
-        return _from_kitti({m[1]: m[2] for m in named if m}, file, key)
-    return _from_numbers(lines, file)
+        try:
+            return _from_mapping(found, file, key, frame_a, frame_b)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise SourceError(
+                f'{file} holds no transform ({in_words(error)}); needed {FORMS}') from error
+    lines = [line for line in map(str.strip, text.splitlines()) if line and line[0] != '#']
+    named = dict(line.split(':', 1) for line in lines if re.match(r'\w+:', line))
+    return _from_kitti(named, file, key) if named else _from_numbers(lines, file)
 
 
 def transform_of(text: str) -> FloatArray:
@@ -144,21 +143,20 @@ def _from_numbers(lines: list[str], file: Path) -> KnownExtrinsic:
         raise SourceError(f'{file} holds no transform; needed {FORMS}')
     if widths in ([6], [7], [8]):
         # Of eight the first is a stamp.
-        return _from_row(rows[0][widths == [8]:], file)
+        return KnownExtrinsic(_of_row(rows[0][widths == [8]:], file), f'one row, {_AS_POSE}')
     if widths in ([16], [12], [4] * 4, [4] * 3):
         form = 'matrix' if rows[1:] else 'one row of a matrix'
         return KnownExtrinsic(_rigid(np.concatenate(rows).reshape(-1, 4), file),
-                              f'{form}, taken as the pose of b in a')
+                              f'{form}, {_AS_POSE}')
     found = f'{counted(len(rows), "row")} of {widths[0]} numbers' if rows else 'no numbers'
     raise SourceError(f'{file} holds {found}, needed one transform: {FORMS}')
 
 
-def _from_row(values: FloatArray, file: Path) -> KnownExtrinsic:
+def _of_row(values: Iterable[float], file: Path) -> FloatArray:
     try:
-        T = parse_transform(' '.join(map(repr, values.tolist())))
+        return parse_transform(' '.join(repr(float(value)) for value in values))
     except ConfigError as error:
         raise SourceError(f'{file}: {error}') from error
-    return KnownExtrinsic(T, 'one row, taken as the pose of b in a')
 
 
 def _from_urdf(
@@ -173,7 +171,7 @@ def _from_urdf(
     joint = _only(joints, name, tree.path, 'joint', 'JOINT',
                   ', or name the frames as the links are named')
     named = f'the pose of {joint.child} in {joint.parent}' if joint.child else 'origin'
-    return KnownExtrinsic(joint.T_parent_child, f'URDF, {named}, taken as the pose of b in a')
+    return KnownExtrinsic(joint.T_parent_child, f'URDF, {named}, {_AS_POSE}')
 
 
 def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownExtrinsic:
@@ -190,11 +188,9 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
         translation = f'T{name[1:]}'
         if name.startswith('Tr'):
             matrices[name] = values(name, 3, 4)
-        elif re.fullmatch(r'R(_\d+)?', name) and translation in rows:
-            matrices[name[2:] or name] = np.hstack([values(name, 3, 3), values(translation, 3, 1)])
-    if key is None:
         # Camera 0 in camera 0 is no news.
-        matrices.pop('00', None)
+        elif re.fullmatch(r'R(_\d+)?', name) and translation in rows and (key or name != 'R_00'):
+            matrices[name[2:] or name] = np.hstack([values(name, 3, 3), values(translation, 3, 1)])
     matrix = _only(matrices, key, file,
                    more='; of a KITTI calib file R and T, R_02 and T_02, or Tr are read')
     return KnownExtrinsic(
@@ -206,55 +202,52 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
 def _from_mapping(
     data: Any, file: Path, key: str | None, frame_a: str | None, frame_b: str | None,
 ) -> KnownExtrinsic:
-    try:
-        if 'T_a_b' in data:
-            values = [*data['T_a_b']['translation'], *data['T_a_b']['rotation_xyzw']]
-            return KnownExtrinsic(
-                _from_row(np.array(values, dtype=np.float64), file).T_a_b,
-                f'saved result, the pose of {data.get("frame_b")} in {data.get("frame_a")}')
-        if 'T_parent_child' in data:
-            return KnownExtrinsic(
-                _rigid(np.array(data['T_parent_child'], dtype=np.float64), file),
-                f'export, the pose of {data.get("child")} in {data.get("parent")}')
-        cameras = {str(name): item for name, item in data.items()
-                   if isinstance(item, Mapping) and 'T_cn_cnm1' in item}
-        if cameras:
-            return _from_kalibr(cameras, file, key)
-        return _from_autoware(data, file, key, frame_a, frame_b)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise SourceError(
-            f'{file} holds no transform ({in_words(error)}); needed {FORMS}') from error
+    if 'T_a_b' in data:
+        values = [*data['T_a_b']['translation'], *data['T_a_b']['rotation_xyzw']]
+        return KnownExtrinsic(
+            _of_row(values, file),
+            f'saved result, the pose of {data.get("frame_b")} in {data.get("frame_a")}')
+    if 'T_parent_child' in data:
+        return KnownExtrinsic(
+            _rigid(np.array(data['T_parent_child'], dtype=np.float64), file),
+            f'export, the pose of {data.get("child")} in {data.get("parent")}')
+    cameras = {str(name): np.array(item['T_cn_cnm1'], dtype=np.float64)
+               for name, item in data.items()
+               if isinstance(item, Mapping) and 'T_cn_cnm1' in item}
+    return (_from_kalibr(cameras, file, key) if cameras else
+            _from_autoware(data, file, key, frame_a, frame_b))
 
 
-def _from_kalibr(cameras: Mapping[str, Any], file: Path, key: str | None) -> KnownExtrinsic:
-    picked = _only(cameras, key, file)
+def _from_kalibr(
+    cameras: Mapping[str, FloatArray], file: Path, key: str | None,
+) -> KnownExtrinsic:
+    picked = _only({name: name for name in cameras}, key, file)
     T_last_first = np.eye(4)
     for name in sorted(cameras, key=lambda text: int(re.sub(r'\D', '', text) or 0)):
-        T_last_first = _rigid(
-            np.array(cameras[name]['T_cn_cnm1'], dtype=np.float64), file) @ T_last_first
-        if cameras[name] is picked:
+        T_last_first = _rigid(cameras[name], file) @ T_last_first
+        if name == picked:
             break
     return KnownExtrinsic(
         se3.inverse(T_last_first),
         'Kalibr, whose T_cn_cnm1 maps points of the camera before to the next; inverted '
-        f'to the pose of {name} (b) in the first camera (a)')
+        f'to the pose of {picked} (b) in the first camera (a)')
 
 
 def _from_autoware(
     data: Mapping[Any, Any], file: Path, key: str | None, frame_a: str | None,
     frame_b: str | None,
 ) -> KnownExtrinsic:
-    found: dict[str, tuple[str, str, FloatArray]] = {}
+    found: dict[str, tuple[str, str, list[float]]] = {}
     for base, children in data.items():
         for child, pose in children.items():
-            values = np.array([pose[name] for name in (*'xyz', 'roll', 'pitch', 'yaw')], float)
+            values = [float(pose[name]) for name in (*'xyz', 'roll', 'pitch', 'yaw')]
             # A child of two bases is named with each.
             name = f'{base}/{child}' if child in found else str(child)
             found[name] = str(base), str(child), values
     if key is None and frame_b in found and found[frame_b][0] == frame_a:
         key = frame_b
     base, child, values = _only(found, key, file)
-    return KnownExtrinsic(_from_row(values, file).T_a_b,
+    return KnownExtrinsic(_of_row(values, file),
                           f'Autoware, the pose of {child} in {base}, taken as that of b in a')
 
 
