@@ -15,8 +15,8 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import CARE, FAILED, GOOD, INCOMPLETE, sizes, TITLES
-from trajectory_calibration.outputs.report.drawings import evenly
-from trajectory_calibration.outputs.report.figures import limits, Plot, Scene
+from trajectory_calibration.outputs.report.drawings import evenly, from_zero
+from trajectory_calibration.outputs.report.figures import Plot, Scene
 from trajectory_calibration.outputs.report.page import (
     figure,
     next_step,
@@ -185,8 +185,7 @@ def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
     for name, distance in zip(names[1:], apart, strict=True):
         if not np.isfinite(distance).any():
             continue
-        plot = Plot((0.0, seconds[-1]), (0.0, limits(distance, include=[0.0])[1]),
-                    x_label='s', y_label='m')
+        plot = Plot((0.0, seconds[-1]), from_zero(distance), x_label='s', y_label='m')
         plot.line(seconds, distance, 'line-b')
         figures += figure(
             'apart', plot,

@@ -25,34 +25,37 @@ def unit_of(k: int) -> str:
     return 'm' if k < 3 else 'deg'
 
 
+def from_zero(*arrays: FloatArray) -> tuple[float, float]:
+    """Return the limits of an axis that begins at zero."""
+    return 0.0, limits(*arrays, [0.0, 1e-6])[1]
+
+
 def apart_over_time(data: ReportData, *, rotation: bool = False) -> Plot:
     """Draw the distance between the tracks, or of their orientation, over time and path."""
     tracks = data.tracks
     apart = tracks.angle_deg if rotation else tracks.distance_m
     seconds, jumps = tracks.seconds, tracks.largest_jumps()
-    high = max(apart.max(), 1e-6) * 1.08
     driven = [(at, f'{label(at)} s\n{metres(np.interp(at, seconds, tracks.path_m))}')
               for at in ticks(0.0, seconds[-1], 4)]
-    plot = Plot((0.0, seconds[-1]), (0.0, high), y_label=unit_of(3 * rotation), x_ticks=driven)
+    plot = Plot((0.0, seconds[-1]), from_zero(apart), y_label=unit_of(3 * rotation),
+                x_ticks=driven)
     plot.line(seconds, apart, 'line-a')
-    plot.dots(seconds[jumps], np.full(len(jumps), 0.97 * high), 'jump', 2.4)
+    plot.dots(seconds[jumps], np.full(len(jumps), 0.97 * plot.y[1]), 'jump', 2.4)
     return plot
 
 
 def rotation_by_axis(data: ReportData) -> Plot:
     """Draw the rotation of a motion about each axis, with what is needed."""
-    found, need = np.array(data.result.observability.excitation_deg), data.need_deg
-    values = found if need is None else np.append(found, need)
-    low = 10.0 ** np.floor(np.log10(max(values[values > 0].min(initial=1.0) / 1.5, 1e-4)))
-    high = max(values.max() * 1.7, 10 * low)
+    found, need = data.result.observability.excitation_deg, data.need_deg
+    low, high = limits(found, [] if need is None else need, log=True)
     # The words of the need stand beside the bars.
-    plot = Plot((-1.1, 2.5), (low, high), log_y=True, y_label='deg per motion, rms', x_ticks=[
-        (k, f'{name}: {value:.3g}')
-        for k, (name, value) in enumerate(zip('xyz', found, strict=True))])
+    plot = Plot((-1.1, 2.5), (0.5 * low, high), log_y=True, y_label='deg per motion, rms',
+                x_ticks=[(k, f'{name}: {value:.3g}')
+                         for k, (name, value) in enumerate(zip('xyz', found, strict=True))])
     for k, value in enumerate(found):
         style = 'fill-a' if need is None or value >= need else 'fill-weak'
-        plot.rectangle((k - 0.28, k + 0.28), (low, max(value, low)), style, f'{value:.3g} deg')
-    if need is not None and low < need < high:
+        plot.rectangle((k - 0.28, k + 0.28), (0.5 * low, value), style, f'{value:.3g} deg')
+    if need is not None:
         plot.horizontal(need, 'need', f'need {need:.2g}', at_left=True)
     return plot
 
@@ -61,14 +64,10 @@ def deviation_over_time(data: ReportData, *, rotation: bool) -> Plot:
     """Draw the standard deviations against driving time."""
     part = slice(3, 6) if rotation else slice(0, 3)
     values, limit = data.parts.growth_std[:, part], data.rows[part.start].weak_limit
-    shown = values[np.isfinite(values) & (values > 0)]
-    low = max(min(shown.min(initial=limit), limit) / 1.6, 1e-5)
-    high = max(shown.max(initial=limit), limit) * 1.6
-    plot = Plot((0.0, data.tracks.seconds[-1]), (low, high), log_y=True, x_label='driven, s',
-                y_label=f'{unit_of(part.start)}, standard deviation')
-    if low < limit < high:
-        # At the end where the curves are not.
-        plot.horizontal(limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
+    plot = Plot((0.0, data.tracks.seconds[-1]), limits(values, limit, log=True), log_y=True,
+                x_label='driven, s', y_label=f'{unit_of(part.start)}, standard deviation')
+    # At the end where the curves are not.
+    plot.horizontal(limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
     for axis, std in zip('xyz', values.T, strict=True):
         plot.line(data.parts.growth_s, std, f'line-{axis}')
     return plot
@@ -136,13 +135,12 @@ def box_by_scale(data: ReportData, kind: int) -> Plot:
     """Draw the size of the residuals against the length of the motions."""
     found = data.residuals
     values, expected = found.by_scale[:, kind], found.expected[:, kind]
-    shown = np.concatenate([values[values > 0], expected])
-    low, high = max(shown.min() / 1.5, 1e-6), max(shown.max() * 1.5, 1e-5)
     names = [(k, label(value)) for k, value in enumerate(found.scales_s)]
-    plot = Plot((-0.6, len(names) - 0.4), (low, high), log_y=True, x_ticks=names,
+    plot = Plot((-0.6, len(names) - 0.4), limits(values, expected, log=True), log_y=True,
+                x_ticks=names,
                 x_label='length of the motions, s', y_label=unit_of(3 * kind))
     plot.line(np.arange(len(names)), expected, 'need')
-    for k, (least, lower, middle, upper, most) in enumerate(np.maximum(values, low)):
+    for k, (least, lower, middle, upper, most) in enumerate(values):
         plot.line([k, k], [least, most], 'zero')
         plot.rectangle((k - 0.2, k + 0.2), (lower, upper), 'fill-b' if kind else 'fill-a')
         plot.line([k - 0.2, k + 0.2], [middle, middle], 'median')
@@ -151,9 +149,8 @@ def box_by_scale(data: ReportData, kind: int) -> Plot:
 
 def rates(clocks: Clocks) -> Plot:
     """Draw the angular rates of both over each other."""
-    _, high = limits(clocks.rate_a, clocks.rate_b, include=(0.0,))
-    plot = Plot((clocks.seconds[0], clocks.seconds[-1]), (0.0, high), x_label='time, s',
-                y_label='deg/s')
+    plot = Plot((clocks.seconds[0], clocks.seconds[-1]), from_zero(clocks.rate_a, clocks.rate_b),
+                x_label='time, s', y_label='deg/s')
     plot.line(clocks.seconds, clocks.rate_b, 'line-b wide')
     plot.line(clocks.seconds, clocks.rate_a, 'line-a')
     return plot
@@ -185,7 +182,7 @@ def scale_over_path(scale: FloatArray) -> Plot:
     """Draw the ratio of the lengths of both over the drive."""
     seconds, ratio, std = scale.T
     plot = Plot((0.0, seconds[-1] * 1.07),
-                limits(ratio - 2 * std, ratio + 2 * std, include=(0.999, 1.001)),
+                limits(ratio - 2 * std, ratio + 2 * std, [0.999, 1.001]),
                 x_label='time, s', y_label='scale of b, relative to the answer')
     plot.horizontal(1.0, 'zero')
     for middle, value, deviation in scale:

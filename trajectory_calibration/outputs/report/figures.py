@@ -57,13 +57,18 @@ def label(value: float) -> str:
     return f'{value + 0.0:.6g}'
 
 
-def limits(*arrays: ArrayLike, include: Sequence[float] = ()) -> tuple[float, float]:
-    """Return an interval that holds all finite numbers with a little room; never empty."""
-    values = np.concatenate([np.ravel(array) for array in (*arrays, include)])
-    values = values[np.isfinite(values)]
+def limits(*arrays: ArrayLike, log: bool = False) -> tuple[float, float]:
+    """Return an interval that holds all finite numbers with a little room; never empty.
+
+    Of a logarithmic axis, those above zero.
+    """
+    values = np.concatenate([np.ravel(array) for array in arrays])
+    values = values[np.isfinite(values) & (values > (0.0 if log else -np.inf))]
     if not len(values):
-        return 0.0, 1.0
-    low, high = values.min(), values.max()
+        return 0.1, 1.0
+    low, high = float(values.min()), float(values.max())
+    if log:
+        return max(low / 1.6, 1e-6), max(high * 1.6, 1e-5)
     room = 0.06 * (high - low) or max(abs(low), 1e-3) * 0.5
     return low - room, high + room
 
