@@ -57,11 +57,11 @@ class Row:
     ----------
     name : 'x' ... 'yaw'; roll, pitch, yaw about the fixed x, then y, then z axis of a, as URDF.
     value : metres or degrees.
-    std : standard deviation in the same unit, or None where the result has no covariance.
+    std : standard deviation in the same unit; None without a covariance, or where unobserved.
     unit : 'm' or 'deg'.
     status : 'observed', 'weak', 'unobserved' or 'prior'.
     weak_limit, unobserved_limit : of the standard deviation, from the settings.
-    error : value minus the truth, where that is known.
+    error : value minus the truth; None where that is not known, or where unobserved.
 
     """
 
@@ -91,22 +91,19 @@ class Row:
 
     @property
     def std_text(self) -> str:
-        """Return two digits of the deviation; '' where there is none, or no number."""
-        return f'{self.std:.{self._digits}f}' if self.is_known and self.std is not None else ''
+        """Return two digits of the deviation; '' where there is none."""
+        return '' if self.std is None else f'{self.std:.{self._digits}f}'
 
     @property
     def error_text(self) -> str:
-        """Return the error with its sign; '' where the truth or the number is not known."""
-        if self.error is None or not self.is_known:
-            return ''
-        return f'{round(self.error, self._digits) + 0.0:+.{self._digits}f}'
+        """Return the error with its sign; '' where there is none."""
+        return '' if self.error is None else (
+            f'{round(self.error, self._digits) + 0.0:+.{self._digits}f}')
 
     @property
     def sigma(self) -> float | None:
         """Return the size of the error in standard deviations, None where that says nothing."""
-        if self.error is None or not self.is_known or not self.std:
-            return None
-        return abs(self.error) / self.std
+        return abs(self.error) / self.std if self.error is not None and self.std else None
 
     @property
     def _digits(self) -> int:
@@ -150,14 +147,17 @@ def pose_rows(
         errors = TO_DEGREES * (to_rows @ se3.step_between(T_true, T))
     statuses = [status[name] for name in DEGREES_OF_FREEDOM[:3]]
     statuses += _angle_statuses(covariance, status, to_rows[3:, 3:])
+    shown = (
+        [None if np.isnan(number) or status == UNOBSERVED else float(number)
+         for number, status in zip(numbers, statuses, strict=True)] for numbers in (std, errors))
     limits = (
         (config.weak_translation, config.unobserved_translation),
         (config.weak_rotation, config.unobserved_rotation))
     return tuple(
-        Row(name, float(values[k]) + 0.0, None if covariance is None else float(std[k]),
-            'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
-            None if T_true is None else float(errors[k]))
-        for k, name in enumerate(NAMES))
+        Row(name, value + 0.0, deviation, 'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
+            error)
+        for k, (name, value, deviation, error) in enumerate(zip(
+            NAMES, values.tolist(), *shown, strict=True)))
 
 
 def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:

@@ -98,7 +98,7 @@ def _deviations(result: CalibrationResult) -> Figure:
                 (k, f'{row.name}\n{row.value_text}\n{row.std_text and row.word}')
                 for k, row in enumerate(part)])
         for k, row in enumerate(part):
-            std = row.std if row.is_known and row.std is not None else unobserved
+            std = unobserved if row.std is None else row.std
             plot.rectangle((k - 0.3, k + 0.3), (weak / 100, np.clip(
                 std, weak / 90, unobserved * 3)), f'fill-{row.word}')
         for limit in (weak, unobserved):

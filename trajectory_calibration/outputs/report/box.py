@@ -38,7 +38,7 @@ def verdict_box(result: CalibrationResult, rows: tuple[Row, ...], driven: str = 
     """
     a, b = escape(result.frame_a), escape(result.frame_b)
     config, verdict = result.config, verdict_of(result, rows)
-    has_truth = rows[0].error is not None
+    has_truth = any(row.error is not None for row in rows)
     names = ', '.join(row.name for row in rows if _is_far(row))
     inside = filled(
         'box.html', a=a, b=b, sentence=escape(sentence(verdict.sentence)),
