@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 import hashlib
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding, worst_first
@@ -77,16 +77,11 @@ def record_cards(
 
 
 def _settings(config: CalibrationConfig) -> str:
-    def shown(value: Any) -> str:
-        return '–' if value == '' else str(value)
-
-    changed: list[tuple[str, ...]] = []
-    usual: list[tuple[str, ...]] = []
-    for option in config.options():
-        value = getattr(config, option.name)
-        (usual if value == option.default else changed).append(
-            (option.name, shown(value), shown(option.default)))
+    rows = [(option.name, *(str(value) or '–' for value in (
+        getattr(config, option.name), option.default))) for option in config.options()]
+    changed = [row for row in rows if row[1] != row[2]]
+    usual = [row[:2] for row in rows if row[1] == row[2]]
     head = ('setting', 'value', 'default')
     first = table(head, changed) if changed else '<p>Defaults.</p>'
     return (f'{first}<details><summary>{"All other" if changed else "All"} settings</summary>'
-            f'{table(head[:2], [row[:2] for row in usual])}</details>')
+            f'{table(head[:2], usual)}</details>')

@@ -75,11 +75,8 @@ def render_failure(
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
     # What happened, and what to do, where the message says it.
-    reason, mark, advice = error.partition('. ')
-    if not mark:
-        reason, mark, advice = error.rpartition('; ')
-    if not mark:
-        reason, advice = error, ''
+    reason, _, advice = (error.partition('. ') if '. ' in error else
+                         error.rpartition('; ') if '; ' in error else (error, '', ''))
     box = verdict_section(
         FAILED, 'Calibration failed', TITLES[FAILED],
         f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}')

@@ -6,16 +6,7 @@
   const svg = view.querySelector('svg');
   svg.setAttribute('aria-label', 'Both tracks; drag to turn, wheel or pinch to zoom');
   svg.tabIndex = 0;
-  const unpacked = (steps) => {
-    const points = [];
-    for (let k = 0, at = [0, 0, 0]; k < steps.length; k += 3) {
-      at = at.map((value, n) => value + steps[k + n]);
-      points.push(at);
-    }
-    return points;
-  };
-  const a = unpacked(data.a), b = unpacked(data.b), jumps = unpacked(data.jumps);
-  const gaps = new Set(data.gaps);
+  const { a, b, jumps } = data, gaps = new Set(data.gaps);
   const views = {
     '3-D': [-0.6, 0.9], Top: [0, Math.PI / 2], Front: [0, 0], Side: [Math.PI / 2, 0],
   };
@@ -45,8 +36,8 @@
     const [left, right] = [Math.min, Math.max].map((f) => f(...flat.map((point) => point[0])));
     const [top, bottom] = [Math.min, Math.max].map((f) => f(...flat.map((point) => point[1])));
     base = {
-      scale: Math.min((svg.clientWidth - 56) / Math.max(right - left, 1),
-        (svg.clientHeight - 96) / Math.max(bottom - top, 1)),
+      scale: Math.min((svg.clientWidth - 56) / Math.max(right - left, 1e-6),
+        (svg.clientHeight - 96) / Math.max(bottom - top, 1e-6)),
       x: (left + right) / 2, y: (top + bottom) / 2,
     };
     draw();
@@ -72,15 +63,14 @@
     };
     const start = place(a[0]);
     // A scale bar, and the axes of the world of a.
-    const metres = data.size / data.grid / scale;
-    const power = 10 ** Math.floor(Math.log10(metres * width / 5));
-    const bar = power * [5, 2, 1].find((factor) => factor * power <= metres * width / 5);
+    const longest = width / 5 / scale, power = 10 ** Math.floor(Math.log10(longest));
+    const bar = power * [5, 2, 1].find((factor) => factor * power <= longest);
     const [ox, oy] = [width - 44, height - 40];
     svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
     svg.innerHTML = track('line-b wide', b) + track('line-a', a)
       + jumps.map((point) => dot('jump', place(point), 3.4)).join('')
       + dot('start', start, 5) + text(Number(start[0]) + 8, Number(start[1]) - 6, 'start')
-      + path('axis', `M12 ${height - 16}v5h${bar / metres}v-5`)
+      + path('axis', `M12 ${height - 16}v5h${bar * scale}v-5`)
       + text(16, height - 18, bar >= 1 ? `${bar} m` : `${Math.round(bar * 1e4) / 10} mm`)
       + data.axes.map((axis, k) => {
         const [x, y] = turned([0, 1, 2].map((n) => 24 * (n === k)));

@@ -13,8 +13,8 @@ from trajectory_calibration.outputs.report.drawings import evenly
 from trajectory_calibration.outputs.report.figures import Scene
 from trajectory_calibration.outputs.report.tracks import Tracks
 
-# Poses of a track that are drawn, and steps of the grid in which they are written.
-_POSES, _GRID = 900, 4000
+# Poses of a track that are drawn.
+_POSES = 900
 # Of a drawing as wide as the page.
 WIDE, HIGH = 720, 430
 _MOST_GAPS = 300
@@ -28,19 +28,14 @@ def track_view(tracks: Tracks) -> str:
     ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
     ends = np.clip(np.add.outer([-1, 0, 1], ends).ravel(), 0, len(a) - 1)
     keep = np.union1d(evenly(len(a), _POSES), ends)
-    both = np.concatenate([a[keep], c[keep]])
-    low, high = both.min(axis=0), both.max(axis=0)
-    middle, size = 0.5 * (low + high), max((high - low).max(), 1e-6)
-
-    def gridded(points: FloatArray) -> list[int]:
-        scaled = np.round((points - middle) / size * _GRID).astype(int)
-        # Steps from point to point: shorter, and no digit is lost.
-        return np.diff(scaled, axis=0, prepend=[[0, 0, 0]]).ravel().tolist()
-
+    middle, size = a[keep].mean(axis=0), max(np.ptp(a[keep], axis=0).max(), 1e-6)
+    # To less than a thousandth of the track.
+    digits = int(np.ceil(3 - np.log10(size)))
     words = json.dumps({
-        'size': size, 'a': gridded(a[keep]), 'b': gridded(c[keep]),
-        'jumps': gridded(c[tracks.largest_jumps()]),
-        'gaps': np.searchsorted(keep, tracks.gaps).tolist(), 'grid': _GRID, 'axes': names,
+        'a': np.round(a[keep] - middle, digits).tolist(),
+        'b': np.round(c[keep] - middle, digits).tolist(),
+        'jumps': np.round(c[tracks.largest_jumps()] - middle, digits).tolist(),
+        'gaps': np.searchsorted(keep, tracks.gaps).tolist(), 'axes': names,
     }, separators=(',', ':'))
     drawn = _from_above(a[:, :2], c[:, :2], keep, tracks).svg('both tracks from above')
     return (f'<div class="view3d" id="view">{drawn}'
@@ -60,12 +55,8 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
 
 
 def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) -> Scene:
-    """Draw both (K, 2) tracks, lying where they are higher than wide."""
-    both = np.concatenate([a, c])
-    width, height = np.ptp(both, axis=0)
-    if height > width:
-        a, c, both = (np.column_stack([points[:, 1], -points[:, 0]]) for points in (a, c, both))
-    scene = Scene.around(both, WIDE, HIGH)
+    """Draw both (K, 2) tracks."""
+    scene = Scene.around(np.concatenate([a, c]), WIDE, HIGH)
     # The step over a gap is dashed, and parts the pieces of the track.
     gaps = np.flatnonzero(np.isin(keep, tracks.gaps))
     gaps = gaps[gaps + 1 < len(keep)]
