@@ -154,8 +154,7 @@ def pose_rows(
         (config.weak_translation, config.unobserved_translation),
         (config.weak_rotation, config.unobserved_rotation))
     return tuple(
-        Row(name, value + 0.0, deviation, 'm' if k < 3 else 'deg', statuses[k], *limits[k >= 3],
-            error)
+        Row(name, value + 0.0, deviation, unit_of(k), statuses[k], *limits[k >= 3], error)
         for k, (name, value, deviation, error) in enumerate(zip(
             NAMES, values.tolist(), *shown, strict=True)))
 
@@ -186,6 +185,11 @@ def status_sentence(rows: tuple[Row, ...]) -> str:
             names = names.replace(', '.join(group), name)
         found += [f'{names} {word}'] if names else []
     return '; '.join(found)
+
+
+def unit_of(k: int) -> str:
+    """Return the unit of the k-th of the six numbers."""
+    return 'm' if k < 3 else 'deg'
 
 
 class Verdict(NamedTuple):

@@ -15,12 +15,11 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.fleet.comparison import Comparison, Entry
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import NAMES, TO_DEGREES
+from trajectory_calibration.outputs.answer import NAMES, TO_DEGREES, unit_of
 from trajectory_calibration.outputs.comparison_table import cells_of
-from trajectory_calibration.outputs.report.drawings import unit_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
 from trajectory_calibration.outputs.report.page import (
-    figure,
+    Figure,
     page,
     section,
     table,
@@ -50,14 +49,14 @@ def fleet_page(comparison: Comparison) -> str:
             'residual, m', 'findings')
     rows = table(head, map(_row, comparison.entries), 'numbers')
     recordings = section(
-        2, 'Recordings', f'<div class="card">{rows}</div>',
+        2, 'Recordings', [f'<div class="card">{rows}</div>'],
         f'Chi-squared about one mean of all: {comparison.chi_squared:,.1f} of '
         f'{comparison.degrees_of_freedom} degrees of freedom. docs/findings.md explains the '
         'findings.')
     return page('Extrinsic over time', box + charts + recordings, scripts=())
 
 
-def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str:
+def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> list[Figure]:
     stretches = comparison.stretches
     base = stretches[0].T_a_b if stretches else results[0].T_a_b
     origin = np.concatenate([base[:3, 3], np.zeros(3)])
@@ -72,7 +71,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str
         np.cumsum([0, *(len(item.names) for item in stretches)])].tolist()
     dates = [(item.start_utc or '').partition('T')[0] for item in (results[0], results[-1])]
     names = [entry.name for entry in comparison.entries if entry.result is not None]
-    charts = ''
+    charts = []
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         unit = unit_of(k)
         status = [item.observability.status[name] for item in results]
@@ -95,9 +94,9 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> str
                 f'{names[i]}: {values[i, k]:.4g} +- {std[i, k]:.2g} {unit}')
         if not known:
             plot.write(0.5, 0.5, 'unknown in every recording', 'middle')
-        charts += figure(
+        charts.append(Figure(
             'chart', plot, 'Unknown.' if not known else f'Mean {", then ".join(reading)}.'
-            if reading else 'No mean is formed.', number=name.replace(' ', ' about '))
+            if reading else 'No mean is formed.', names={'number': name.replace(' ', ' about ')}))
     return charts
 
 

@@ -21,10 +21,17 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import require
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, WORDS
-from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.figures import Plot
 from trajectory_calibration.outputs.report.page import asset
+from trajectory_calibration.outputs.report.page import Figure as Shown
+from trajectory_calibration.outputs.report.sections import (
+    clock_figures,
+    motion_figures,
+    part_figures,
+    residual_figures,
+    track_figures,
+)
 from trajectory_calibration.result import CalibrationResult
 
 if TYPE_CHECKING:
@@ -106,16 +113,18 @@ def _deviations(result: CalibrationResult) -> Figure:
     return _drawn(result, plots)
 
 
+def _titled(figures: list[Shown], *kinds: str) -> dict[str, Plot | None]:
+    """Return the plots of some kinds by their titles."""
+    return {shown.title: shown.picture for shown in figures
+            if shown.kind in kinds and isinstance(shown.picture, Plot)}
+
+
 def _overview(data: ReportData) -> Figure:
-    result, clocks = data.result, data.clocks
-    figure = _drawn(result, {
-        'both tracks, m': None,
-        'distance between the tracks, m': draw.apart_over_time(data),
-        'rotation by axis': draw.rotation_by_axis(data),
-        'standard deviation against driving time': draw.deviation_over_time(data, rotation=False),
-        'angular rates': draw.rates(clocks),
-        **({'agreement by clock offset': draw.offset_curve(clocks)} if len(clocks.offsets_s)
-           else {})})
+    result = data.result
+    shown = _titled(
+        [*track_figures(data), *motion_figures(data)[:2], *clock_figures(data)],
+        'distance', 'motion', 'growth', 'rates', 'offset')
+    figure = _drawn(result, {'both tracks, m': None, **shown})
     axes: Any = figure.axes[0]
     for poses, name, frame in ((data.tracks.poses_c, 'b', result.frame_b),
                                (data.tracks.pairs.poses_a, 'a', result.frame_a)):
@@ -167,9 +176,6 @@ def _copy(plot: Plot, axes: Any) -> None:
 _FIGURES: dict[str, Callable[[ReportData], Figure]] = {
     'overview': _overview,
     'deviations': lambda data: _deviations(data.result),
-    'parts': lambda data: _drawn(
-        data.result, {name: draw.part_plot(data, k) for k, name in enumerate(draw.AXES)},
-        ': parts of the data, minus the answer'),
-    'residuals': lambda data: _drawn(
-        data.result, {name: draw.residual_over_time(data, k) for k, name in enumerate(draw.AXES)},
-        ': residuals')}
+    'parts': lambda data: _drawn(data.result, _titled(part_figures(data), 'part'),
+                                 ': parts of the data, minus the answer'),
+    'residuals': lambda data: _drawn(data.result, _titled(residual_figures(data), 'residual'))}

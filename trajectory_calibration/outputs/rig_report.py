@@ -15,10 +15,9 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import CARE, FAILED, GOOD, INCOMPLETE, sizes, TITLES
-from trajectory_calibration.outputs.report.drawings import evenly, from_zero
-from trajectory_calibration.outputs.report.figures import Plot, Scene
+from trajectory_calibration.outputs.report.figures import evenly, from_zero, Plot, Scene
 from trajectory_calibration.outputs.report.page import (
-    figure,
+    Figure,
     next_step,
     page,
     section,
@@ -63,9 +62,9 @@ def render_rig(
     return page(f'{title}: calibration report', ''.join((
         _box(rig, title),
         section(1, 'Where is each sensor?', views, 'Every pose is in the frame of the base.'),
-        section(2, 'Do the pairs agree?', _misfits(rig),
+        section(2, 'Do the pairs agree?', [_misfits(rig)],
                 'Every pair was calibrated alone; here is its difference from the rig.'),
-        section(3, 'How noisy is each sensor?', _noise(rig),
+        section(3, 'How noisy is each sensor?', [_noise(rig)],
                 'Found from the differences of pairs, which needs three sensors or more.'),
         section(4, 'Do the tracks coincide?', _tracks(rig, trajectories or {}),
                 'All tracks carried into the base, in its clock and unit, laid on each other.'),
@@ -102,7 +101,7 @@ def _box(rig: RigResult, title: str) -> str:
         f'{next_step(worst)}')
 
 
-def _misfits(rig: RigResult) -> str:
+def _misfits(rig: RigResult) -> Figure:
     """Return a table of how far each pair is from the rig."""
     rows: list[tuple[str, ...]] = []
     for pair in rig.pairs:
@@ -120,34 +119,34 @@ def _misfits(rig: RigResult) -> str:
             f'{pair.poses:,}', 'yes' if pair.used else 'no'))
     wrong = [f'{pair.parent} - {pair.child}' for pair in rig.pairs if pair.p_value < _WRONG]
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
-    return figure(
+    return Figure(
         'chi-squared', table(('pair', 'chi-squared', 'difference +- deviation', 'rotation',
                               'poses', 'used'), rows, 'numbers'),
         f'{used} of {counted(len(rig.pairs), "pair")} are used in the answer'
         + (f'; beyond chance: {", ".join(wrong)}.' if wrong else '.'), wide=True)
 
 
-def _noise(rig: RigResult) -> str:
+def _noise(rig: RigResult) -> Figure | str:
     rows = [(name, *noise_texts(sensor)) for name, sensor in rig.sensors.items()]
     if not any(sensor.noise for sensor in rig.sensors.values()):
         return '<p>The noise is not known: the rig was made of two sensors or of results.</p>'
-    return figure(
+    return Figure(
         'noise', table(('sensor', 'positions, mm', 'rotations, deg',
                         'drift of positions, mm after 1 m', 'drift of rotations, deg after 1 m'),
                        rows, 'numbers'), 'One standard deviation along or about each axis.',
         wide=True)
 
 
-def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> str:
+def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> list[Figure | str]:
     names = [name for name in rig.trees[rig.base] if name in trajectories]
     if len(names) < 2:
-        return '<p>The tracks were not given.</p>'
+        return ['<p>The tracks were not given.</p>']
     grid = common_grid([
         track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
                  rig.sensors[name].T_base_sensor) for name in names],
         round(1e9 * rig.config.calibration.max_gap))
     laid = _laid(grid)
-    return _from_above(rig, names, laid) + _apart(names, laid, grid)
+    return [_from_above(rig, names, laid), *_apart(names, laid, grid)]
 
 
 def _laid(grid: Grid) -> FloatArray:
@@ -161,7 +160,7 @@ def _laid(grid: Grid) -> FloatArray:
     return found
 
 
-def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> str:
+def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> Figure:
     points = laid[:, evenly(laid.shape[1], _POINTS)]
     known = laid.reshape(-1, 3)
     known = known[np.isfinite(known).all(axis=1)]
@@ -172,23 +171,23 @@ def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> str:
         scene.line(points[k][:, axes], css=f'stroke:{_colour(rig, name)};stroke-width:'
                    f'{1.5 + 0.8 * k:.1f};opacity:.7')
     scene.scale_bar()
-    return figure(
-        'all tracks', scene, f'{len(names)} tracks, laid on that of {names[0]}.', wide=True,
-        legend=[(_colour(rig, name), name) for name in names])
+    return Figure(
+        'all tracks', scene, f'{len(names)} tracks, laid on that of {names[0]}.',
+        [(_colour(rig, name), name) for name in names], wide=True)
 
 
-def _apart(names: list[str], laid: FloatArray, grid: Grid) -> str:
+def _apart(names: list[str], laid: FloatArray, grid: Grid) -> list[Figure]:
     at = evenly(len(grid.stamps_ns), _POINTS)
     seconds = (grid.stamps_ns[at] - grid.stamps_ns[0]) * 1e-9
     apart = np.linalg.norm(laid[1:, at] - laid[:1, at], axis=2)
-    figures = ''
+    figures = []
     for name, distance in zip(names[1:], apart, strict=True):
         if not np.isfinite(distance).any():
             continue
         plot = Plot((0.0, seconds[-1]), from_zero(distance), x_label='s', y_label='m')
         plot.line(seconds, distance, 'line-b')
-        figures += figure(
+        figures.append(Figure(
             'apart', plot,
             f'Median {np.nanmedian(distance):.3g} m, largest {np.nanmax(distance):.3g} m.',
-            name=name, base=names[0])
+            names={'name': name, 'base': names[0]}))
     return figures

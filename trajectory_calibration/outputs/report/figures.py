@@ -13,7 +13,7 @@ from html import escape
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
@@ -71,6 +71,16 @@ def limits(*arrays: ArrayLike, log: bool = False) -> tuple[float, float]:
         return max(low / 1.6, 1e-6), max(high * 1.6, 1e-5)
     room = 0.06 * (high - low) or max(abs(low), 1e-3) * 0.5
     return low - room, high + room
+
+
+def from_zero(*arrays: ArrayLike) -> tuple[float, float]:
+    """Return the limits of an axis that begins at zero."""
+    return 0.0, limits(*arrays, [0.0, 1e-6])[1]
+
+
+def evenly(count: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most so many of ``count`` points, with the first and the last."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
 
 
 class Canvas:

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from configparser import RawConfigParser
+from dataclasses import dataclass, field
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -82,34 +83,48 @@ def _captions() -> RawConfigParser:
     return found
 
 
-def figure(
-    kind: str, picture: Canvas | Plot | str, reading: str, *, wide: bool = False,
-    legend: Iterable[tuple[str, str]] = (), **names: str,
-) -> str:
-    """Return a figure with what it says here, and what good and bad look like.
+@dataclass(frozen=True)
+class Figure:
+    """A picture with what it says here, and what good and bad look like; ``str`` gives the HTML.
 
     ``kind`` is a section of captions.ini, whose title has gaps for ``names``; ``legend`` has a
     class or a colour, and a name, for each thing that is drawn; a picture may be HTML.
     """
-    title, good, bad = (_captions()[kind][key] for key in ('title', 'good', 'bad'))
-    title = title.format(**names)
-    keys = ''.join(f'<span><i class="key {style}" style="--key:{style}"></i>{escape(name)}</span>'
-                   for style, name in legend)
-    keys = f'<p class="legend">{keys}</p>' if keys else ''
-    style = ' class="wide"' if wide else ''
-    drawn = picture if isinstance(picture, str) else picture.svg(title)
-    return (
-        f'<figure{style}><h3>{escape(title)}</h3>{keys}{drawn}'
-        f'<figcaption><p class="reading">{escape(reading)}</p>'
-        f'<p><b>Good:</b> {escape(good)}. <b>Bad:</b> {escape(bad)}.</p>'
-        '</figcaption></figure>')
+
+    kind: str
+    picture: Canvas | Plot | str
+    reading: str
+    legend: Sequence[tuple[str, str]] = ()
+    wide: bool = False
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Return what stands above it."""
+        return _captions()[self.kind]['title'].format(**self.names)
+
+    def __str__(self) -> str:
+        """Return the figure as HTML."""
+        keys = ''.join(
+            f'<span><i class="key {style}" style="--key:{style}"></i>{escape(name)}</span>'
+            for style, name in self.legend)
+        keys = f'<p class="legend">{keys}</p>' if keys else ''
+        style = ' class="wide"' if self.wide else ''
+        drawn = (self.picture if isinstance(self.picture, str) else
+                 self.picture.svg(self.title))
+        good, bad = (escape(_captions()[self.kind][key]) for key in ('good', 'bad'))
+        return (f'<figure{style}><h3>{escape(self.title)}</h3>{keys}{drawn}<figcaption>'
+                f'<p class="reading">{escape(self.reading)}</p>'
+                f'<p><b>Good:</b> {good}. <b>Bad:</b> {bad}.</p></figcaption></figure>')
 
 
-def section(number_: int, title: str, inside: str, lead: str = '', *, columns: int = 3) -> str:
-    """Return a numbered section of the page."""
+def section(
+    number_: int, title: str, inside: Iterable[Figure | str], lead: str = '', *, columns: int = 3,
+) -> str:
+    """Return a numbered section of the page; its lead is text, what is inside figures or HTML."""
     words = f'<p class="lead">{escape(lead)}</p>' if lead else ''
     return (f'<section id="s{number_}"><h2><span>{number_}</span>{escape(title)}</h2>{words}'
-            f'<div class="grid of{columns}">{inside}</div></section>')
+            f'<div class="grid of{columns}">{"".join(map(str, inside))}</div></section>')
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]], style: str = '') -> str:

@@ -57,7 +57,7 @@ def hash_inputs(
 def record_cards(
     record: Record | None, config: CalibrationConfig, findings: Iterable[Finding],
     result_version: str = '',
-) -> str:
+) -> list[str]:
     """Return the cards of inputs, command, settings, versions, findings and glossary."""
     command, inputs = record or Record()
     rows = ''.join(
@@ -72,8 +72,8 @@ def record_cards(
         'Versions': f'<p>{escape(versions())}{made_by}</p>',
         'Glossary': asset('glossary.html'),
     }
-    return ''.join(f'<div class="card"><h3>{title}</h3>{inside}</div>'
-                   for title, inside in cards.items() if inside)
+    return [f'<div class="card"><h3>{title}</h3>{inside}</div>'
+            for title, inside in cards.items() if inside]
 
 
 def _settings(config: CalibrationConfig) -> str:

@@ -13,13 +13,12 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import answer_rows, FAILED, TITLES
-from trajectory_calibration.outputs.report import drawings as draw
 from trajectory_calibration.outputs.report.box import verdict_box
 from trajectory_calibration.outputs.report.clocks import compare_clocks
 from trajectory_calibration.outputs.report.data import report_data, ReportData
 from trajectory_calibration.outputs.report.page import (
     asset,
-    figure,
+    Figure,
     metres,
     next_step,
     page,
@@ -28,7 +27,7 @@ from trajectory_calibration.outputs.report.page import (
     verdict_section,
 )
 from trajectory_calibration.outputs.report.record import Record, record_cards
-from trajectory_calibration.outputs.report.sections import NAVIGATION, sections
+from trajectory_calibration.outputs.report.sections import gap_strip, NAVIGATION, rates, sections
 from trajectory_calibration.outputs.report.view3d import single_track
 from trajectory_calibration.result import CalibrationResult
 
@@ -80,7 +79,7 @@ def render_failure(
     box = verdict_section(
         FAILED, 'Calibration failed', TITLES[FAILED],
         f'<p class="error">{escape(sentence(reason))}</p>{next_step(advice)}')
-    figures = ''.join(map(_input_figure, 'ab', trajectories))
+    figures = list(map(_input_figure, 'ab', trajectories))
     if len(trajectories) == 2:
         figures += _together(*trajectories)
     body = section(1, 'What was found of the inputs', figures, columns=2) if figures else ''
@@ -89,20 +88,20 @@ def render_failure(
     return page('Calibration failed', box + body + last, navigation=('Inputs', 'Record'))
 
 
-def _input_figure(name: str, trajectory: Trajectory) -> str:
+def _input_figure(name: str, trajectory: Trajectory) -> Figure:
     length = metres(float(np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1))))
     turned = float(np.rad2deg(np.sum(np.linalg.norm(trajectory.turns, axis=1))))
     reading = (f'{len(trajectory):,} poses over {trajectory.duration_s:.1f} s '
                f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length}, turned '
                f'{turned:,.0f} deg in all.')
-    return figure('input', single_track(trajectory.positions, f'line-{name}'), reading,
-                  name=name, frame=trajectory.sensor_frame)
+    return Figure('input', single_track(trajectory.positions, f'line-{name}'), reading,
+                  names={'name': name, 'frame': trajectory.sensor_frame})
 
 
-def _together(a: Trajectory, b: Trajectory) -> str:
+def _together(a: Trajectory, b: Trajectory) -> list[Figure]:
     clocks = compare_clocks(a, b)
     apart = (int(b.stamps_ns[0]) - int(a.stamps_ns[0])) * 1e-9
-    strip = figure('times of inputs', draw.gap_strip(clocks),
+    strip = Figure('times of inputs', gap_strip(clocks),
                    f'The first pose of b is {apart:+.3f} s from that of a.')
     reading = 'Both sensors of one vehicle turn by the same angle at the same time.'
     if a.stamps_ns[-1] <= b.stamps_ns[0] or b.stamps_ns[-1] <= a.stamps_ns[0]:
@@ -110,5 +109,5 @@ def _together(a: Trajectory, b: Trajectory) -> str:
         clocks = compare_clocks(
             a, replace(b, stamps_ns=b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0]))
         reading += ' Drawn from the first pose of each, because they have no time in common.'
-    return strip + figure('rates of inputs', draw.rates(clocks), reading,
-                          legend=[('a', a.sensor_frame), ('b', b.sensor_frame)])
+    return [strip, Figure('rates of inputs', rates(clocks), reading,
+                          [('a', a.sensor_frame), ('b', b.sensor_frame)])]

@@ -12,7 +12,7 @@ import numpy as np
 from trajectory_calibration.assessment.observability import UNOBSERVED
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.figures import ellipse, REACH, Scene
-from trajectory_calibration.outputs.report.page import figure
+from trajectory_calibration.outputs.report.page import Figure
 
 _WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
 # Length of the axes of a sensor, in the picture.
@@ -41,7 +41,7 @@ class Mounted(NamedTuple):
         return [axis for axis in 'xyz' if self.status[axis] == UNOBSERVED]
 
 
-def sensor_views(sensors: Sequence[Mounted]) -> str:
+def sensor_views(sensors: Sequence[Mounted]) -> list[Figure]:
     """Return figures of sensors seen along z, y and x of the frame of the first one."""
     known = np.array([[axis not in sensor.unobserved for axis in 'xyz'] for sensor in sensors])
     # What is unobserved of a sensor is drawn at its origin, without a size.
@@ -54,7 +54,7 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
     # One scale for all views; x is never upright, z never level.
     pixels = float(min((_WIDTH - 2 * _MARGIN) / extent[:2].max(),
                        (_HEIGHT - 2 * _MARGIN) / extent[1:].max()))
-    figures = ''
+    figures = []
     for axes, along in (([0, 1], 'z'), ([0, 2], 'y'), ([1, 2], 'x')):
         scene = Scene(_WIDTH, _HEIGHT, 0.5 * (low + high)[axes], pixels)
         scene.legend(*('xyz'[axis] for axis in axes))
@@ -70,10 +70,10 @@ def sensor_views(sensors: Sequence[Mounted]) -> str:
         unobserved = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors
                                if (names := sensor.unobserved))
         where = ' along the stripe' if not known[:, axes].all() else ''
-        figures += figure(
+        figures.append(Figure(
             'sensors', scene, f'{unobserved}: unknown{where}.' if unobserved else
             'Each sensor lies in its ellipse with 95 % probability.',
-            axis=along, base=sensors[0].name)
+            names={'axis': along, 'base': sensors[0].name}))
     return figures
 
 

@@ -9,8 +9,7 @@ import json
 import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.report.drawings import evenly
-from trajectory_calibration.outputs.report.figures import Scene
+from trajectory_calibration.outputs.report.figures import evenly, Scene
 from trajectory_calibration.outputs.report.tracks import Tracks
 
 # Poses of a track that are drawn.
