@@ -11,12 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import io
 import json
 from pathlib import Path
 import re
 import shlex
+from textwrap import indent
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
@@ -78,7 +79,7 @@ def _pose(item: Placement) -> str:
     return f'pose of {item.child} in {item.parent}: p_{item.parent} = T p_{item.child}'
 
 
-def _comments(item: Placement, *more: str, indent: str = '', xml: bool = False) -> str:
+def _comments(item: Placement, *more: str, xml: bool = False) -> str:
     """Return what a reader must know, worst first: the pose, or ``more`` in its place."""
     lines = [*(more or [_pose(item)])]
     if item.unobserved:
@@ -88,28 +89,24 @@ def _comments(item: Placement, *more: str, indent: str = '', xml: bool = False) 
         words = deviation_words(item.covariance)
         lines.append(f'standard deviations along and about x, y, z of {item.parent}: '
                      f'{", ".join(words[:3])} m, {", ".join(words[3:])} deg')
-    # A line break in the name of a frame must not end the comment.
+    # A line break in the name of a frame must not end the comment, nor must two hyphens.
     lines = [' '.join(line.split()) for line in (*lines, item.origin) if line]
-    if xml:
-        # Nor must two hyphens.
-        lines = [f'<!-- {re.sub("-(?=-|$)", "- ", line)} -->' for line in lines]
-    return ''.join(f'{indent}{line}\n' if xml else f'{indent}# {line}\n' for line in lines)
+    return ''.join(f'<!-- {re.sub("-(?=-|$)", "- ", line)} -->\n' if xml else f'# {line}\n'
+                   for line in lines)
 
 
-def _joint(item: Placement, parent: str, child: str, name: str) -> str:
+def _joint(item: Placement) -> str:
     xyz, _, rpy = _texts(item)
-    return (f'<joint name={quoteattr(name)} type="fixed">\n'
+    return (f'<joint name={quoteattr(f"{item.parent}_to_{item.child}")} type="fixed">\n'
             f'  <origin xyz="{" ".join(xyz)}" rpy="{" ".join(rpy)}"/>\n'
-            f'  <parent link={quoteattr(parent)}/>\n'
-            f'  <child link={quoteattr(child)}/>\n'
-            '</joint>\n')
+            f'  <parent link={quoteattr(item.parent)}/>\n'
+            f'  <child link={quoteattr(item.child)}/>\n'
+            f'</joint>\n<link name={quoteattr(item.child)}/>\n')
 
 
 def joint_and_link(item: Placement, *comments: str) -> str:
     """Return the joint and the link of the child in URDF, with the pose after ``comments``."""
-    return (_comments(item, *comments, _pose(item), xml=True)
-            + _joint(item, item.parent, item.child, f'{item.parent}_to_{item.child}')
-            + f'<link name={quoteattr(item.child)}/>\n')
+    return _comments(item, *comments, _pose(item), xml=True) + _joint(item)
 
 
 def _urdf(item: Placement) -> str:
@@ -119,8 +116,6 @@ def _urdf(item: Placement) -> str:
 
 def _xacro(item: Placement) -> str:
     macro = re.sub(r'\W', '_', f'{item.parent}_to_{item.child}')
-    joint = _joint(item, '${parent}', '${child}', '${parent}_to_${child}')
-    body = ''.join(f'    {line}\n' for line in joint.splitlines())
     for name in (item.parent, item.child):
         # Space, quotes and $ have a meaning in the defaults of a macro.
         if re.fullmatch(r'[\w./-]+', name) is None:
@@ -128,11 +123,13 @@ def _xacro(item: Placement) -> str:
                 f'xacro cannot hold the frame name {name!r}, needed letters, digits and _ . / -; '
                 'use urdf')
     defaults = quoteattr(f'parent:={item.parent} child:={item.child}')
+    comments = _comments(item, f'Include this file, then call <xacro:{macro}/> in the robot',
+                         _pose(item), xml=True)
+    joint = _joint(replace(item, parent='${parent}', child='${child}'))
+    body = indent(f'{comments}<xacro:macro name="{macro}" params={defaults}>\n'
+                  f'{indent(joint, "  ")}</xacro:macro>\n', '  ')
     return ('<?xml version="1.0"?>\n<robot xmlns:xacro="http://www.ros.org/wiki/xacro">\n'
-            + _comments(item, f'Include this file, then call <xacro:{macro}/> in the robot',
-                        _pose(item), indent='  ', xml=True)
-            + f'  <xacro:macro name="{macro}" params={defaults}>\n{body}'
-            '    <link name="${child}"/>\n  </xacro:macro>\n</robot>\n')
+            f'{body}</robot>\n')
 
 
 def _publisher_arguments(item: Placement) -> list[tuple[str, str]]:
@@ -155,7 +152,7 @@ def launch_file(items: Iterable[Placement]) -> str:
     for item in items:
         rows = ''.join(f'                {name!r}, {value!r},\n'
                        for name, value in _publisher_arguments(item))
-        nodes += _comments(item, indent='        ') + (
+        nodes += indent(_comments(item), '        ') + (
             "        Node(\n            package='tf2_ros', "
             f"executable='static_transform_publisher',\n            arguments=[\n{rows}"
             '            ]),\n')
@@ -212,7 +209,7 @@ def sensor_kit(items: Iterable[Placement]) -> str:
             parent = item.parent
             lines += f'{quoted(parent)}:\n'
         xyz, _, rpy = _texts(item)
-        lines += _comments(item, indent='  ') + f'  {quoted(item.child)}:\n'
+        lines += indent(_comments(item), '  ') + f'  {quoted(item.child)}:\n'
         lines += ''.join(f'    {name}: {text}\n' for name, text in zip(
             ('x', 'y', 'z', 'roll', 'pitch', 'yaw'), xyz + rpy, strict=True))
     return lines

@@ -173,7 +173,7 @@ def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -
         gaps = counted(item['gaps'], 'gap') + longest if item['gaps'] else 'no gaps'
         lines += _marked(((one['level'], one['text']) for one in item['findings']), terminal)
         lines += terminal.aligned({
-            **({'read as': item['read_as']} if item.get('read_as') else {}),
+            'read as': item.get('read_as') or '',
             'frames': ('not named in the file' if item['sensor_frame'] is None
                        else f'{item["sensor_frame"]} in {item["world_frame"]}'),
             'poses': f'{item["poses"]:,}{read}, {item["rate_hz"]:.2f} Hz, {gaps}',

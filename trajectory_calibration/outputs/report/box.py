@@ -67,15 +67,14 @@ def _facts(result: CalibrationResult, driven: str) -> str:
 
 
 def _row(row: Row, *, with_error: bool) -> str:
-    more = small = ''
+    more = ''
     if row.unit == 'deg' and row.is_known:
         std = '' if row.std is None else f' ± {np.deg2rad(row.std):.2g}'
-        radians = f'{np.deg2rad(row.value):.5f}{std} rad'
-        more, small = f' title="{radians}"', f'<small>{radians}</small>'
+        more = f' title="{np.deg2rad(row.value):.5f}{std} rad"'
     cells = (
         f'<th scope="row">{row.name}</th><td class="num value"{more}>{row.value_text}</td>'
         f'<td class="num">{row.std_text}</td>'
-        f'<td class="unit">{row.unit if row.is_known else ""}{small}</td>'
+        f'<td class="unit">{row.unit if row.is_known else ""}</td>'
         f'<td class="of-gauge">{_gauge(row)}</td>'
         f'<td class="{row.word}">{_MARKS[row.word]} {row.word}</td>')
     if with_error:
