@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
+from itertools import combinations
 import os
 from pathlib import Path
 from typing import Any
@@ -93,7 +94,7 @@ def load_inputs(
     where an input cannot be read.
     """
     _require_different([name for name, _ in inputs.values()], topics=bool(bags))
-    from_bags = {name for name, _ in inputs.values() if bags and not Path(name).is_file()}
+    from_bags = [name for name, _ in inputs.values() if bags and not Path(name).is_file()]
     for name, options in inputs.values():
         given = options.of_files()
         if name in from_bags and given:
@@ -104,14 +105,10 @@ def load_inputs(
         # What bags need loads where a bag is read, and only there.
         from trajectory_calibration.sources.bags import open_bags
         with open_bags(bags) as reader:
-            tracks = reader.read(
-                [name for name, _ in inputs.values() if name in from_bags], progress)
-    result = {}
-    for sensor, (name, options) in inputs.items():
-        result[sensor] = (
-            options.inverted(tracks[name].to_trajectory(options.frame)) if name in from_bags else
-            load_file(name, sensor, options)[0])
-    return result
+            tracks = reader.read(from_bags, progress)
+    return {sensor: options.inverted(tracks[name].to_trajectory(options.frame))
+            if name in tracks else load_file(name, sensor, options)[0]
+            for sensor, (name, options) in inputs.items()}
 
 
 def load_file(name: str, sensor: str, options: InputOptions) -> tuple[Trajectory, str]:
@@ -128,11 +125,10 @@ def load_file(name: str, sensor: str, options: InputOptions) -> tuple[Trajectory
 
 def _require_different(names: Sequence[str], *, topics: bool) -> None:
     """Raise ConfigError where two inputs are one."""
-    for k, name in enumerate(names):
-        for other in names[:k]:
-            if name == other or (topics and name.lstrip('/') == other.lstrip('/')):
-                raise ConfigError(f'{name} is given twice; two sensors are needed')
-            # What is no file is no reason here: reading it says what is wrong.
-            with suppress(OSError):
-                if Path(name).samefile(other):
-                    raise ConfigError(f'{other} and {name} are the same; two sensors are needed')
+    for other, name in combinations(names, 2):
+        if name == other or (topics and name.lstrip('/') == other.lstrip('/')):
+            raise ConfigError(f'{name} is given twice; two sensors are needed')
+        # What is no file is no reason here: reading it says what is wrong.
+        with suppress(OSError):
+            if Path(name).samefile(other):
+                raise ConfigError(f'{other} and {name} are the same; two sensors are needed')

@@ -16,8 +16,6 @@ _MAGIC = b'#ROSBAG V2.0\n'
 _MESSAGE, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 5, 6, 7
 _REINDEX = 'rosbag reindex writes a new index'
 
-_Record = tuple[int, dict[bytes, bytes], bytes]
-
 
 class Ros1File(Storage):
     """An open bag of ROS 1."""
@@ -56,27 +54,26 @@ class Ros1File(Storage):
             fields[b'topic'].decode(), msgtype, 0, 'ros1'))
 
     def _read(self) -> Iterator[tuple[int, int, bytes]]:
-        for operation, fields, body in self._walk(self._data, len(_MAGIC)):
-            if operation == _CONNECTION:
-                with self.noting('a connection is damaged ({})'):
-                    self._note(fields, body)
-            elif operation == _MESSAGE:
-                key, time = _uint(fields.get(b'conn', b'')), fields.get(b'time', b'')
-                if key not in self._wanted or len(time) != 8:
-                    self.note_damage('messages of a connection that is not declared')
-                elif self._wanted[key]:
-                    sec, nanosec = struct.unpack('<II', time)
-                    yield key, sec * 1_000_000_000 + nanosec, body
+        return self._messages(self._data, len(_MAGIC))
 
-    def _walk(self, data: bytes | mmap.mmap, offset: int) -> Iterator[_Record]:
-        """Yield the records from an offset on and those of their chunks, up to a damaged one."""
+    def _messages(
+        self, data: bytes | mmap.mmap, offset: int,
+    ) -> Iterator[tuple[int, int, bytes]]:
+        """Yield the messages from an offset on and those of the chunks, up to a damaged record."""
         with self.noting(f'it is cut off or damaged ({{}}); {_REINDEX}'):
-            for record in _records(data, offset):
-                operation, fields, body = record
+            for operation, fields, body in _records(data, offset):
                 if operation == _CHUNK:
-                    yield from self._walk(self._unpacked(fields, body), 0)
-                else:
-                    yield record
+                    yield from self._messages(self._unpacked(fields, body), 0)
+                elif operation == _CONNECTION:
+                    with self.noting('a connection is damaged ({})'):
+                        self._note(fields, body)
+                elif operation == _MESSAGE:
+                    key, time = _uint(fields.get(b'conn', b'')), fields.get(b'time', b'')
+                    if key not in self._wanted or len(time) != 8:
+                        self.note_damage('messages of a connection that is not declared')
+                    elif self._wanted[key]:
+                        sec, nanosec = struct.unpack('<II', time)
+                        yield key, sec * 1_000_000_000 + nanosec, body
 
     def _unpacked(self, fields: dict[bytes, bytes], body: bytes) -> bytes:
         """Return the records of a chunk; none where it is damaged."""
@@ -93,7 +90,9 @@ def _uint(data: bytes) -> int:
     return int.from_bytes(data, 'little')
 
 
-def _records(data: bytes | mmap.mmap, offset: int) -> Iterator[_Record]:
+def _records(
+    data: bytes | mmap.mmap, offset: int,
+) -> Iterator[tuple[int, dict[bytes, bytes], bytes]]:
     """Yield operation, header fields and body of each record."""
     while offset < len(data):
         (size,) = struct.unpack_from('<I', data, offset)

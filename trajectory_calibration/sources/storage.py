@@ -136,20 +136,16 @@ def _opened(path: Path, stack: ExitStack, *, count: bool) -> Storage:
 def unpacked(batch: Batch) -> Batch:
     """Return the messages as they were before the recorder compressed each of them."""
     # A recorder compresses all of them; a damaged one must not hide that.
-    some = batch.messages[:9]
     if batch.channel.encoding != 'cdr' or not any(
-            message.startswith(ZSTD_MAGIC) for message in some):
+            message.startswith(ZSTD_MAGIC) for message in batch.messages[:9]):
         return batch
-    return batch._replace(messages=list(map(_unpacked, batch.messages)))
-
-
-def _unpacked(message: bytes) -> bytes:
-    if not message.startswith(ZSTD_MAGIC):
-        return message
-    # What is no message is counted as one that cannot be read.
-    with border(lambda _: None):
-        return unpack(message, 'zstd')
-    return b''
+    messages: list[bytes] = []
+    for message in batch.messages:
+        # What is no message is counted as one that cannot be read.
+        with border(lambda _: messages.append(b'')):
+            messages.append(
+                unpack(message, 'zstd') if message.startswith(ZSTD_MAGIC) else message)
+    return batch._replace(messages=messages)
 
 
 def _storage_suffix(path: Path) -> str:
