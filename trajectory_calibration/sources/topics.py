@@ -254,19 +254,17 @@ def _is_usable(path: cdr.Poses) -> bool:
 def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicTrack:
     """Put the parts of one topic from several files together, in the order of reception."""
     notes = [text for part in parts for text in part.notes]
-    filled = sorted((part for part in parts if len(part.poses)),
-                    key=lambda part: int(part.received_ns[0]))
+    ordered = sorted(parts, key=lambda part: part.received_ns[:1].tolist())
     if msgtype == cdr.PATH:
-        notes += _dropped_note(filled)
-        filled = filled[-1:]
-    frames = tuple(dict.fromkeys(pair for part in filled for pair in part.frames))
+        notes += _dropped_note([part for part in ordered if len(part.poses)])
+        ordered = ordered[-1:]
+    frames = tuple(dict.fromkeys(pair for part in ordered for pair in part.frames))
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in filled])
-        for name in ('stamps_ns', 'received_ns', 'poses') if filled}
-    if filled:
-        columns['frame_index'] = np.concatenate([
-            np.array([frames.index(pair) for pair in part.frames])[part.frame_index]
-            for part in filled])
+        name: np.concatenate([getattr(part, name) for part in ordered])
+        for name in ('stamps_ns', 'received_ns', 'poses')}
+    columns['frame_index'] = np.concatenate([
+        np.array([frames.index(pair) for pair in part.frames], np.intp)[part.frame_index]
+        for part in ordered])
     return TopicTrack(
         topic, msgtype, sum(part.messages for part in parts),
         sum(part.unreadable for part in parts), frames=frames, notes=tuple(notes), **columns)

@@ -140,9 +140,8 @@ class TransformTree:
         return reached
 
     def _with_two_parents(self) -> str:
-        parents: dict[str, list[str]] = {}
-        for edge in self.edges:
-            parents.setdefault(edge.child, []).append(edge.parent)
+        parents = {child: [edge.parent for edge in self.edges if edge.child == child]
+                   for child in self.frames}
         return '; '.join(f'{child} has the parents {" and ".join(names)}'
                          for child, names in parents.items() if len(names) > 1)
 
