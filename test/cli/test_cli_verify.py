@@ -41,6 +41,7 @@ def test_it_holds_it_moved_and_nobody_can_tell(saved, tmp_path, capsys):
     assert status == 0
     assert out.startswith('holds')
     assert 'smallest shift that would have been noticed: ' in out
+    assert '\nwarning: only 7.9 s of common motion' in out
     step = [0.3, 0, 0, 0, 0, 0.1]
     status, out, _ = run(capsys, 'verify', saved, *write_noisy(tmp_path, 3, se3.moved(X, step)))
     assert status == 4

@@ -59,9 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
         print(f'smallest shift that would have been noticed: {resolution}')
     # What a direction needs is in the verdict, and a prior would be no way out here.
     findings = () if found.result is None else found.result.findings
-    for note in (*found.notes, *(
-            item.text for item in findings if not item.code.startswith('direction-'))):
-        print(f'note: {note}')
+    for line in (*(f'note: {note}' for note in found.notes), *(
+            f'{item.level}: {item.text}' for item in findings
+            if not item.code.startswith('direction-'))):
+        print(line)
     return found.exit_status
 
 
