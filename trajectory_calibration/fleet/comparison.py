@@ -20,6 +20,7 @@ import re
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.errors import counted, in_sigmas, ResultError
@@ -232,7 +233,7 @@ def compare(entries: Sequence[Entry]) -> Comparison:
     # Half of what is stated: the other half goes to the single axes of each change.
     penalty = quantile(6, 0.5 * FALSE_ALARM / (len(results) - 1))
     edges = _partition(sums, penalty)
-    chi_squared = _mean(sums, 0, len(results))[2] * noise_ratio**2
+    chi_squared = float(_mean(sums, 0, len(results))[2]) * noise_ratio**2
     dof = int(sum((np.sqrt(np.diagonal(P)) <= limits).sum() for P in covariances)) - 6
     names = [name for name, _ in answers]
     stretches = [
@@ -288,27 +289,28 @@ def _running_sums(steps: FloatArray, information: FloatArray) -> _Sums:
     return one, two, three
 
 
-def _mean(sums: _Sums, start: int, end: int) -> tuple[FloatArray, FloatArray, float]:
-    """Return the (6,) mean of the steps [start, end), its covariance, and their chi-squared."""
+def _mean(sums: _Sums, start: int | NDArray[np.intp], end: int) -> _Sums:
+    """Return the (6,) mean of the steps [start, end), its covariance, and their chi-squared.
+
+    Of each start, where several are given.
+    """
     information, weighted, squares = (each[end] - each[start] for each in sums)
     P = np.linalg.inv(information)
-    mean = P @ weighted
-    return mean, 0.5 * (P + P.T), max(0.0, float(squares - mean @ weighted))
+    mean = np.einsum('...ij,...j->...i', P, weighted)
+    return (mean, 0.5 * (P + np.swapaxes(P, -1, -2)),
+            np.maximum(0.0, squares - np.sum(mean * weighted, axis=-1)))
 
 
 def _partition(sums: _Sums, penalty: float) -> list[int]:
     """Return the edges of the stretches: 0, each change, the number of answers."""
-    count = len(sums[0]) - 1
-    best = np.full(count + 1, np.inf)
-    best[0] = -penalty
-    last = np.zeros(count + 1, dtype=int)
-    for end in range(1, count + 1):
-        costs = [best[start] + _mean(sums, start, end)[2] + penalty for start in range(end)]
-        last[end] = int(np.argmin(costs))
-        best[end] = costs[last[end]]
-    edges = [count]
+    best, last = np.array([-penalty]), [0]
+    for end in range(1, len(sums[0])):
+        costs = best + _mean(sums, np.arange(end), end)[2] + penalty
+        last.append(int(np.argmin(costs)))
+        best = np.append(best, costs[last[end]])
+    edges = [len(last) - 1]
     while edges[-1] > 0:
-        edges.append(int(last[edges[-1]]))
+        edges.append(last[edges[-1]])
     return edges[::-1]
 
 
