@@ -27,8 +27,7 @@ from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.outputs.report.tracks import corrected_b
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.time_alignment.align import match_at
-from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
+from trajectory_calibration.time_alignment.pairing import associate
 
 # More poses than a person can tell apart only slow the display down.
 _MOST_POSES = 2000
@@ -53,7 +52,7 @@ class Overlay:
 
 def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
     """Lay the tracks of a calibration over each other."""
-    pairs = match_at(a, corrected_b(result, b), ClockCorrection(0.0), result.config)
+    pairs = associate(a, corrected_b(result, b), result.config)
     pairs = pairs.thinned(-(-len(pairs) // _MOST_POSES))
     poses_a, poses_b = pairs.poses_a, pairs.poses_b @ se3.inverse(result.T_a_b)
     return Overlay(a.world_frame, pairs.stamps_ns, poses_a,

@@ -24,18 +24,11 @@ def match(
     try:
         clock = synchronise(
             a, b, config.time_offset, config.mode('time_offset'), config.max_time_offset)
-        return clock, match_at(a, b, clock, config)
+        b_on_time = b.retimed(clock.drift, clock.drift_from_ns)
+        return clock, associate(a, b_on_time, config, round(clock.offset_s * 1e9))
     except AssociationError as error:
         doubts = doubts_of_both(a, b)
         if not doubts:
             raise
         # The question comes first: an offset or a longer gap would only hide a wrong unit.
         raise AssociationError(f'{"; ".join(map(str, doubts))}; {error}') from error
-
-
-def match_at(
-    a: Trajectory, b: Trajectory, clock: ClockCorrection, config: CalibrationConfig,
-) -> PosePairs:
-    """Return the pose pairs for a known clock correction of b; raises as ``associate``."""
-    return associate(
-        a, b.retimed(clock.drift, clock.drift_from_ns), config, round(clock.offset_s * 1e9))

@@ -19,8 +19,7 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.time_alignment.align import match_at
-from trajectory_calibration.time_alignment.clock_offset import ClockCorrection
+from trajectory_calibration.time_alignment.pairing import associate
 
 # A step in which the tracks part by this many usual ones is a jump, also where no solver says so.
 _JUMP = 12.0
@@ -109,7 +108,7 @@ def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
 
 def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> Tracks:
     """Carry ``corrected_b`` over to a; raises AssociationError where they do not meet."""
-    pairs = match_at(a, b, ClockCorrection(0.0), result.config)
+    pairs = associate(a, b, result.config)
     diagnosis = result.diagnosis or {}
     poses_b = _without_drift(pairs.poses_b, diagnosis.get('systematic_drift', (0, 0, 0)))
     poses_b = _in_time(poses_b, pairs.stamps_ns, diagnosis.get('latency_s', 0.0))
