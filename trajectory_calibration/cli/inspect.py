@@ -13,12 +13,7 @@ from typing import Any, TYPE_CHECKING
 
 from trajectory_calibration.cli.inputs import add_file_arguments, options_of
 from trajectory_calibration.cli.progress import progress
-from trajectory_calibration.errors import (
-    CalibrationError,
-    ConfigError,
-    MissingPackageError,
-    SourceError,
-)
+from trajectory_calibration.errors import ConfigError, MissingPackageError, SourceError
 from trajectory_calibration.outputs.inspection import inspect_trajectory
 from trajectory_calibration.outputs.screen import format_inspection
 from trajectory_calibration.outputs.terminal import Terminal
@@ -52,9 +47,13 @@ def run(arguments: argparse.Namespace) -> int:
     if not paths:
         arguments.parser.print_usage(sys.stderr)
         raise ConfigError('the following arguments are required: PATH')
-    found = [_inspect(path, arguments) for path in paths]
-    inputs = [item for item in found if isinstance(item, dict)]
-    errors = [item for item in found if not isinstance(item, dict)]
+    inputs, errors = [], []
+    for path in paths:
+        try:
+            inputs.append(_inspect_bag(path) if is_bag(path) else
+                          _inspect_file(path, options_of(arguments)))
+        except (MissingPackageError, SourceError) as error:  # noqa: PERF203
+            errors.append(str(error))
     if arguments.format == 'json' and inputs:
         print(json.dumps({'inputs': inputs}))
     else:
@@ -62,16 +61,8 @@ def run(arguments: argparse.Namespace) -> int:
     if errors:
         # What was found comes first, also where both go to one terminal.
         print(end='', flush=True)
-        raise SourceError('; '.join(map(str, errors)))
+        raise SourceError('; '.join(errors))
     return 0
-
-
-def _inspect(path: Path, arguments: argparse.Namespace) -> dict[str, Any] | CalibrationError:
-    """Describe what is at a path, or return why that cannot be done."""
-    try:
-        return _inspect_bag(path) if is_bag(path) else _inspect_file(path, options_of(arguments))
-    except (MissingPackageError, SourceError) as error:
-        return error
 
 
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
