@@ -76,6 +76,17 @@ def test_the_date_makes_the_order_and_names_break_ties(result):
     assert compare(undated).describe() == compare(entries).describe()
 
 
+def test_a_clock_that_was_not_set_puts_no_recording_before_the_others(result):
+    entries = fleet(result, 8, lambda k: MOVED * (k >= 4))
+    for k in (2, 6):
+        entries[k] = Entry(
+            entries[k].name, dataclasses.replace(entries[k].result, start_ns=10**13))
+    found = compare(entries)
+    assert [entry.name for entry in found.entries] == [f'fleet{k}' for k in range(8)]
+    assert found.spans == [('fleet0-3', 'fleet4-7')]
+    assert any(line.startswith('2 of 8 without a date ') for line in found.describe())
+
+
 def test_a_recording_that_is_given_twice_counts_once(result):
     entries = fleet(result, 3)
     again = Entry('copy', dataclasses.replace(
@@ -223,6 +234,8 @@ def test_answers_that_cannot_be_compared_are_refused(result):
 def test_names_in_short():
     assert span_of(['fleet0', 'fleet1', 'fleet7']) == 'fleet0-7'
     assert span_of(['a']) == 'a'
+    assert span_of(['day09', 'day10']) == 'day09-10'
+    assert span_of(['day3', 'day1', 'day4']) == 'day3 ... day4'
     assert span_of(['mon', 'tue']) == 'mon, tue'
     assert span_of(['mon', 'tue', 'wed']) == 'mon ... wed'
     assert short_names(['x/mon.mcap', 'x/tue.mcap']) == ['mon', 'tue']

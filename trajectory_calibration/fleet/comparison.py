@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 import re
 from typing import Any
@@ -37,6 +37,9 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM, quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
+
+# The year 2000: clocks that were never set begin in 1970, or with GPS in 1980.
+_FIRST_DATE_NS = 946_684_800 * 10**9
 
 _Sums = tuple[FloatArray, FloatArray, FloatArray]
 
@@ -133,6 +136,10 @@ class Comparison:
             lines.append(
                 f'deviations enlarged {self.noise_ratio:.1f} times: so much do neighbours scatter')
         lines += [f'{entry.name}: {entry.failure}' for entry in self.entries if entry.repeated]
+        undated = answers - sum(_minute(entry) is not None for entry in self.entries)
+        if 0 < undated < answers:
+            lines.append(f'{undated} of {answers} without a date (a clock that was not set?): '
+                         'left where they were given')
         failed = sum(entry.result is None and not entry.repeated for entry in self.entries)
         if failed:
             lines.append(f'{failed} of {len(self.entries)} gave no answer')
@@ -195,7 +202,8 @@ def compare(entries: Sequence[Entry]) -> Comparison:
     Parameters
     ----------
     entries : sequence of Entry
-        Sorted by their dates here; those without a date, or of one minute, keep their order.
+        Sorted by their dates here. Those of one minute keep their order, one without a date
+        stays behind the one before it.
 
     Raises
     ------
@@ -203,10 +211,7 @@ def compare(entries: Sequence[Entry]) -> Comparison:
         Fewer than two answers, or answers for different frames.
 
     """
-    ordered = sorted(entries, key=lambda entry: (
-        (entry.result.start_ns or 0) // (60 * 10**9) if entry.result is not None
-        else float('inf')))
-    ordered = _each_recording_once(ordered)
+    ordered = _each_recording_once(_by_date(entries))
     answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
     if len(answers) < 2:
         again = ''.join(
@@ -248,6 +253,20 @@ def compare(entries: Sequence[Entry]) -> Comparison:
         stretches = []
     return Comparison(tuple(ordered), tuple(stretches), changes, chi_squared, max(dof, 1),
                       noise_ratio)
+
+
+def _by_date(entries: Sequence[Entry]) -> list[Entry]:
+    minutes = list(accumulate(
+        map(_minute, entries), lambda before, own: before if own is None else own, initial=0))
+    order = sorted(range(len(entries)), key=lambda k: (
+        entries[k].result is None, minutes[k + 1]))
+    return [entries[k] for k in order]
+
+
+def _minute(entry: Entry) -> int | None:
+    """Return when an answer's data begin, minutes since 1970; None where no clock said it."""
+    start_ns = None if entry.result is None else entry.result.start_ns
+    return None if start_ns is None or start_ns < _FIRST_DATE_NS else start_ns // (60 * 10**9)
 
 
 def _each_recording_once(entries: Sequence[Entry]) -> list[Entry]:
@@ -319,9 +338,13 @@ def span_of(names: Sequence[str]) -> str:
     if len(names) == 1:
         return names[0]
     first, last = names[0], names[-1]
-    one, two = (re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in (first, last))
-    if one and two and (one[1], one[3]) == (two[1], two[3]) and int(one[2]) < int(two[2]):
-        return f'{one[1]}{one[2]}-{two[2]}{one[3]}'
+    found = [re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in names]
+    ends = {(item[1], item[3]) for item in found if item}
+    numbers = [item[2] for item in found if item]
+    if len(ends) == 1 and len(numbers) == len(names) and (
+            numbers == sorted({*numbers}, key=int)):
+        ((before, after),) = ends
+        return f'{before}{numbers[0]}-{numbers[-1]}{after}'
     return f'{first}, {last}' if len(names) == 2 else f'{first} ... {last}'
 
 
