@@ -13,6 +13,7 @@ from trajectory_calibration.assessment.observability import limits_of
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.answer import CARE, FAILED, GOOD, INCOMPLETE, sizes, TITLES
 from trajectory_calibration.outputs.report.figures import evenly, from_zero, Plot, Scene
@@ -40,9 +41,6 @@ from trajectory_calibration.rig.windows import common_grid, Grid, track_of
 
 # Points of a track, and of a curve over time, that are drawn.
 _POINTS = 500
-
-# Probability of a chi-squared below which a pair contradicts.
-_WRONG = 1e-3
 
 _NAVIGATION = ('The rig', 'Pairs', 'Noise', 'Tracks', 'Record')
 
@@ -81,7 +79,7 @@ def _box(rig: RigResult, title: str) -> str:
     weak = any('weak' in sensor.status.values() for sensor in rig.sensors.values())
     level = (FAILED if any(item.kind != 'clock' for item in rig.contradictions) else
              INCOMPLETE if rig.unobserved or rig.unplaced else
-             CARE if weak or rig.p_value < _WRONG else GOOD)
+             CARE if weak or rig.p_value < FALSE_ALARM else GOOD)
     badge = 'A sensor contradicts the others' if level == FAILED else TITLES[level]
     rows: list[tuple[str, ...]] = []
     for sensor in rig.sensors.values():
@@ -117,7 +115,7 @@ def _misfits(rig: RigResult) -> Figure:
             f'{1e3 * t:.1f} +- {1e3 * s_t:.1f} mm' if s_t else 'unknown',
             f'{R:.3f} +- {s_R:.3f} deg' if s_R else 'unknown',
             f'{pair.poses:,}', 'yes' if pair.used else 'no'))
-    wrong = [f'{pair.parent} - {pair.child}' for pair in rig.pairs if pair.p_value < _WRONG]
+    wrong = [f'{pair.parent} - {pair.child}' for pair in rig.pairs if pair.p_value < FALSE_ALARM]
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
     return Figure(
         'chi-squared', table(('pair', 'chi-squared', 'difference +- deviation', 'rotation',

@@ -40,7 +40,7 @@ _HOLD = 1e-9
 _IMPLAUSIBLE, _FIRMLY = 10 * UNOBSERVED_STD[0], 1e9
 
 # Smallest root mean square motion above rounding (radians; metres per metre from the origin).
-_NO_MOTION = 1e-9
+NO_MOTION = 1e-9
 
 # The same, relative to the motion of a drive straight ahead.
 _UNTURNED = 1e-6
@@ -95,7 +95,7 @@ def require_motion(motions: MotionPairs) -> None:
                                ('b', motions.B, motions.pairs.poses_b)):
         reach = 1.0 + float(np.abs(poses[:, :3, 3]).max())
         change = np.abs(moved - np.eye(4)).max(initial=0.0)
-        if change < _NO_MOTION * reach:
+        if change < NO_MOTION * reach:
             raise MotionError(
                 f'the sensors did not turn or move: {name} stood still in all {len(motions)} '
                 'motions. Drive curves, and a ramp or a bank')
@@ -312,7 +312,7 @@ def observed_directions(H: FloatArray, motions: int) -> FloatArray:
     ``Q Q^T`` is its inverse, zero where that is rounding.
     """
     largest = np.diagonal(H).reshape(2, 3).max(axis=1)
-    scale = np.repeat(np.sqrt(np.maximum(largest, motions * _NO_MOTION**2)), 3)
+    scale = np.repeat(np.sqrt(np.maximum(largest, motions * NO_MOTION**2)), 3)
     eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
     kept = eigenvalues > _UNOBSERVED * max(float(eigenvalues[-1]), 1.0)
     found: FloatArray = Q[:, kept] / np.sqrt(eigenvalues[kept]) / scale[:, None]

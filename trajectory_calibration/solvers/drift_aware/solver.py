@@ -29,6 +29,7 @@ from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findi
 from trajectory_calibration.solvers.drift_aware.drive import Drive, TERMS
 from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
 from trajectory_calibration.solvers.drift_aware.starts import start
+from trajectory_calibration.solvers.quadratic import NO_MOTION
 from trajectory_calibration.solvers.solution import Solution
 
 # Fewer pose pairs cannot separate noise from the extrinsic.
@@ -41,9 +42,6 @@ _LONGEST_STEP_S = 1.0
 # With more than twice this many poses, a fit to about this many comes first.
 _COARSE = 400
 _COARSE_ROUNDS = 7
-
-# Change of position (metres, and relative to the distance from the origin) that is rounding.
-_NO_MOTION = 1e-9
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
@@ -151,7 +149,7 @@ def _require_motion(pairs: PosePairs) -> None:
     """Raise MotionError if one of the sensors did not move beyond rounding."""
     for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
         change = float(np.abs(poses - poses[0]).max())
-        if change <= _NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
+        if change <= NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
             raise MotionError(
                 f'the sensors did not turn: {name} stood still over '
                 f'{counted(len(poses), "pose")}; drive curves, and a ramp or a bank')
