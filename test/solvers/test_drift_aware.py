@@ -411,7 +411,7 @@ def test_a_fit_that_did_not_settle_says_so(monkeypatch):
     monkeypatch.setattr('trajectory_calibration.solvers.drift_aware.fit._MOST_ROUNDS', 1)
     (finding,) = solve_pairs(pairs, FIXED).findings
     assert finding.code == 'not-converged'
-    assert 'drift_aware did not converge in 1 iteration: the last step was' in finding.text
+    assert 'the solver did not converge in 1 iteration: the last step was' in finding.text
 
 
 @pytest.mark.statistical

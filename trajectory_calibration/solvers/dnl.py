@@ -56,8 +56,8 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     T_a_b, cost, iterations = minimise_with_ipopt(minimum.form, minimum.T_a_b)
     doubt = Finding(
         'minimum-not-proven',
-        'dnl: the minimum is not proven to be the lowest; another could have a cost lower by up '
-        f'to {gap:.2g} times its own. Compare with dnlo', {'relative_gap': gap})
+        'the minimum is not proven to be the lowest; another could have a cost lower by up '
+        f'to {gap:.2g} times its own. Compare with another solver', {'relative_gap': gap})
     return Solution(quadratic.polish(T_a_b, motions), cost, iterations,
                     linearise=linear.frobenius, optimality_gap=gap,
                     findings=() if gap <= PROVEN else (doubt,))
@@ -90,7 +90,7 @@ def minimise_with_ipopt(G: FloatArray, start: FloatArray) -> tuple[FloatArray, f
     # Ipopt's tolerances are absolute: give it a form with entries of order one.
     scale = max(float(np.abs(G).max()), np.finfo(float).tiny)
     x, cost, iterations = run_ipopt(
-        _program, 'use solver park, or check the trajectories with inspect',
+        _program, 'use another solver, or check the trajectories with inspect',
         x0=np.concatenate([np.zeros(3), start[:3, 3]]),
         p=np.concatenate([(G / scale).ravel(), start[:3, :3].ravel()]))
     T_a_b = se3.from_rotation_translation(se3.exp_so3(x[:3]) @ start[:3, :3], x[3:])

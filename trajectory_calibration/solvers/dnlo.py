@@ -75,7 +75,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     kept = int(np.count_nonzero(inliers))
     if kept < _LEAST_KEPT:
         raise MotionError(
-            f'dnlo keeps {kept} of {counted(len(motions), "motion")}, needed at least '
+            f'the solver keeps {kept} of {counted(len(motions), "motion")}, needed at least '
             f'{_LEAST_KEPT}: the other squared residuals are above dnlo_c, {cost.c:g}. '
             'Raise dnlo_c or dnlo_min_inliers')
     return Solution(

@@ -76,11 +76,11 @@ def exclude_half_turns(
     if len(motions) - count < 2:
         raise MotionError(
             f'{found} that this solver compares; needed 2 that turn less: use another reference, '
-            'as auto, or solver dnl')
+            'as auto, or another solver')
     if motions.reference == 'A':
         return motions, None, (Finding(
-            'half-turns', f'{found}; they are kept, as published: use a reference B<n>, or solver '
-            'dnl', {'motions': count}),)
+            'half-turns', f'{found}; they are kept, as published: use a reference B<n>, or '
+            'another solver', {'motions': count}),)
     return motions.picked(kept), kept, (
         Finding('half-turns', f'{found}; they are excluded', {'motions': count}),)
 

@@ -68,8 +68,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
     """
     if len(pairs) < MIN_POSES:
         raise SolverError(
-            f'drift_aware: {counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
-            'tell noise from motion; record longer or use dnl')
+            f'{counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
+            'tell noise from motion; record longer, or use another solver')
     _require_motion(pairs)
     every = _every(pairs)
     # A diverging start overflows; it is discarded, and if all diverge, that is an error.
@@ -78,8 +78,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         spread, cost = covariance(found), found.objective
         if not np.isfinite(np.r_[found.state.T_a_b.ravel(), spread.ravel(), cost]).all():
             raise SolverError(
-                f'drift_aware: {len(pairs)} poses gave no finite answer: the motion is too '
-                'degenerate for its model; use dnlo')
+                f'{len(pairs)} poses gave no finite answer: the motion is too '
+                'degenerate for this solver; use another one')
     diagnosis = diagnose(found, spread, pairs.stamps_ns[::every], unit)
     return Solution(
         T_a_b=found.state.T_a_b,
@@ -131,7 +131,7 @@ def _named_errors(pairs: PosePairs) -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise SolverError(
-            f'drift_aware: the equations of {len(pairs)} poses cannot be solved ({error}); needed '
+            f'the equations of {len(pairs)} poses cannot be solved ({error}); needed '
             'motion of both sensors, with turns about several axes') from error
 
 
@@ -140,9 +140,9 @@ def _unsettled(found: Fit) -> tuple[Finding, ...]:
     if found.converged:
         return ()
     return (Finding(
-        'not-converged', f'drift_aware did not converge in {counted(found.rounds, "iteration")}: '
-        f'the last step was {found.last_step:.2g} standard deviations. Compare with --solver '
-        'dnlo, or record longer', {'rounds': found.rounds}),)
+        'not-converged', f'the solver did not converge in {counted(found.rounds, "iteration")}: '
+        f'the last step was {found.last_step:.2g} standard deviations. Compare with another '
+        'solver, or record longer', {'rounds': found.rounds}),)
 
 
 def _require_motion(pairs: PosePairs) -> None:
