@@ -94,13 +94,9 @@ class Layout:
             f'q{axis}': first + k for k, axis in enumerate(order)})
 
 
-def _named(source: str, names: Sequence[str], unit: str | None = None) -> Layout:
-    return Layout(source, {name: k for k, name in enumerate(names)}, unit)
-
-
-TUM = _named('TUM', _TUM.split(','))
+TUM = Layout('TUM', {name: k for k, name in enumerate(_TUM.split(','))})
 EUROC = replace(TUM.ordered('wxyz'), source='EuRoC', unit='ns')
-KITTI = _named('KITTI', _MATRIX)
+KITTI = Layout('KITTI', {name: k for k, name in enumerate(_MATRIX)})
 _USUAL = {8: TUM, 12: KITTI}
 
 
@@ -196,10 +192,8 @@ def from_numbers(
     numeric = np.flatnonzero(np.isfinite(sample).any(axis=0))
     if not len(numeric) or numeric[0]:
         numeric = np.arange(width)
-    candidates = [replace(layout, columns={
-        name: int(numeric[k]) for name, k in layout.columns.items()})
-        for layout in _candidates(len(numeric), timed=timed)]
-    fitting = [layout for layout in candidates if _fits(layout, sample)]
+    fitting = [layout for layout in _candidates(numeric.tolist(), timed=timed)
+               if _fits(layout, sample)]
     # Times from another file stand for those in this one, and the other way round.
     fitting = [layout for layout in fitting if (layout.time is None) == timed] or fitting
     if not fitting and not by_commas and width in _USUAL:
@@ -253,12 +247,12 @@ def _nanoseconds(sample: FloatArray) -> bool:
     return bool(time[0] >= 1e17 or step >= 1e5)
 
 
-def _candidates(width: int, *, timed: bool) -> list[Layout]:
-    """Return all layouts of so many columns."""
+def _candidates(columns: list[int], *, timed: bool) -> list[Layout]:
+    """Return all layouts of some columns."""
     found = []
     for start in ((), ('t',), ('sec', 'nsec'),
                   ('number',), ('number', 't'), ('number', 'sec', 'nsec')):
-        rest = width - len(start)
+        rest = len(columns) - len(start)
         # With times from elsewhere, what looks like a time may be the number of the frame.
         has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
         usual = rest == 7 or (rest > 7 and has_time)
@@ -266,7 +260,9 @@ def _candidates(width: int, *, timed: bool) -> list[Layout]:
                            (QUATERNION + POSITION, usual),
                            (_MATRIX, rest in (12, 16))):
             if fits:
-                found.append(_named(FROM_NUMBERS, start + pose, 's' if 'sec' in start else None))
+                found.append(Layout(
+                    FROM_NUMBERS, dict(zip(start + pose, columns, strict=False)),
+                    's' if 'sec' in start else None))
     return found
 
 
