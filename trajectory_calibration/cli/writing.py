@@ -96,9 +96,9 @@ def print_table(
         print(text, end='', flush=True)
     finally:
         if arguments.output is not None:
-            from trajectory_calibration.outputs.exports import write_files
             contents = dict(files)
-            write_files(arguments.output, contents)
+            for name, data in contents.items():
+                write_text(arguments.output / name, data)
             print(f'wrote {arguments.output}/{", ".join(contents)}', file=sys.stderr)
 
 
@@ -110,13 +110,14 @@ def write_answer(
 
     An earlier answer may have left exports of these ``names``: what is not written again goes.
     """
-    from trajectory_calibration.outputs.exports import remove_others, write_files
+    from trajectory_calibration.outputs.exports import remove_others
     folder = path.parent
     try:
         make_folder(folder, ResultError)
         removed = remove_others(folder, names, exports)
         write_yaml(path, data)
-        write_files(folder, exports)
+        for name, contents in exports.items():
+            write_text(folder / name, contents)
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
     if hidden:

@@ -9,7 +9,7 @@ sentence says so. Numbers are written with all their digits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 import io
@@ -283,11 +283,6 @@ def write_exports(item: Placement, folder: Path) -> list[Path]:
     """
     contents = encode_exports(item)
     remove_others(folder, EXPORT_FILES, contents)
-    return write_files(folder, contents)
-
-
-def write_files(folder: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files into a folder, which is made; return them. Raises ResultError."""
     for name, data in contents.items():
         write_text(folder / name, data)
     return [folder / name for name in contents]

@@ -107,10 +107,9 @@ class Canvas:
             inside = f'<title>{inside}</title>'
         self._parts.append(f'<{start}>{inside}</{tag}>' if inside else f'<{start}/>')
 
-    def path(self, points: FloatArray, style: str = '', css: str = '', words: str = '', *,
-             closed: bool = False) -> None:
-        """Draw a line through (N, 2) points; NaN breaks it."""
-        self.add('path', style, css, words, d=_path(points) + 'Z' * closed, transform='scale(.1)')
+    def path(self, points: FloatArray, style: str = '', css: str = '', words: str = '') -> None:
+        """Draw a line through (N, 2) points, or fill what is inside; NaN breaks it."""
+        self.add('path', style, css, words, d=_path(points), transform='scale(.1)')
 
     def dot(self, at: FloatArray, radius: float, style: str = '', css: str = '', words: str = '',
             ) -> None:
@@ -154,10 +153,9 @@ class Scene(Canvas):
         return (np.asarray(points, dtype=np.float64) - self._middle) * [
             self.pixels, -self.pixels] + np.array([self.width / 2, self.height / 2])
 
-    def line(self, points: FloatArray, style: str = '', css: str = '', *, closed: bool = False,
-             ) -> None:
+    def line(self, points: FloatArray, style: str = '', css: str = '') -> None:
         """Draw a line through (N, 2) points."""
-        self.path(self.place(points), style, css, closed=closed)
+        self.path(self.place(points), style, css)
 
     def axes(self, origin: FloatArray, axes: FloatArray, arm: float) -> None:
         """Draw the three axes of a sensor, (2, 3) each; one towards the reader is left out."""
@@ -185,7 +183,7 @@ class Scene(Canvas):
 def ellipse(covariance: FloatArray) -> FloatArray:
     """Return (N, 2) points, about zero, of the ellipse that holds 95 % of a (2, 2) covariance."""
     values, vectors = np.linalg.eigh(covariance)
-    angle = np.linspace(0, 2 * np.pi, 49)[:-1]
+    angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     return REACH * circle * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
 
@@ -308,7 +306,7 @@ class Plot:
                 for at in points[np.isfinite(points).all(axis=1)]:
                     canvas.dot(at, mark.size, mark.style, words=mark.words)
             else:
-                canvas.path(points, mark.style, '', mark.words, closed=mark.kind == 'area')
+                canvas.path(points, mark.style, '', mark.words)
         return canvas.svg(name)
 
 

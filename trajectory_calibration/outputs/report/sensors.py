@@ -86,7 +86,7 @@ def _draw(
     if 'xyz'[axes[1]] in sensor.unobserved:
         scene.box(x - 7, 0, 14, _HEIGHT, 'unobserved')
     if covariance.any():
-        scene.line(place + ellipse(covariance), 'ellipse', f'stroke:{sensor.colour}', closed=True)
+        scene.line(place + ellipse(covariance), 'ellipse', f'stroke:{sensor.colour}')
     scene.line(np.stack([np.zeros(2), place]), 'lever')
     scene.axes(place, sensor.T[axes, :3], _ARM / scene.pixels)
     scene.dot(at, 4, css=f'fill:{sensor.colour}')
