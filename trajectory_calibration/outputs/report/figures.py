@@ -284,7 +284,7 @@ class Plot:
         y_ticks = log_ticks(*self.y) if self.log_y else ticks(*self.y)
         for value, words in _labelled(y_ticks) if self.y_ticks is None else self.y_ticks:
             ends = place(self.x, [value, value])
-            canvas.path(ends, 'grid')
+            canvas.path(ends, 'gridline')
             canvas.text(_LEFT - 6, ends[0, 1] + 4, words, 'end', '')
         for value, words in _labelled(ticks(*self.x)) if self.x_ticks is None else self.x_ticks:
             for k, line in enumerate(words.split('\n')):
