@@ -51,18 +51,12 @@ _MAIN_SHARE = 0.3
 
 @dataclass(frozen=True)
 class Row:
-    """One number of the answer.
+    """One number of the answer, 'x' ... 'yaw', as ``value`` in metres or degrees.
 
-    Attributes
-    ----------
-    name : 'x' ... 'yaw'; roll, pitch, yaw about the fixed x, then y, then z axis of a, as URDF.
-    value : metres or degrees.
-    std : standard deviation in the same unit; None without a covariance, or where unobserved.
-    unit : 'm' or 'deg'.
-    status : 'observed', 'weak', 'unobserved' or 'prior'.
-    weak_limit, unobserved_limit : of the standard deviation, from the settings.
-    error : value minus the truth; None where that is not known, or where unobserved.
-
+    Roll, pitch, yaw turn about the fixed x, then y, then z axis of a, as in URDF. ``std``, its
+    standard deviation, is None without a covariance or where it is unobserved, ``error``, the
+    value minus the truth, where that is not known or it is unobserved. ``status`` is 'observed',
+    'weak', 'unobserved' or 'prior', by the two limits of the settings.
     """
 
     name: str

@@ -38,13 +38,8 @@ if TYPE_CHECKING:
 class Exporter:
     """One format.
 
-    Attributes
-    ----------
-    sentence : what it holds and which way it points.
-    file_name : in a folder of exports.
-    contents : function of a ``Placement`` that returns what is written.
-    is_binary : whether it cannot be printed.
-
+    ``sentence`` says what it holds and which way it points; ``contents`` is the function of a
+    ``Placement`` that returns what is written to ``file_name``. What is binary cannot be printed.
     """
 
     sentence: str

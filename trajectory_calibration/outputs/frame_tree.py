@@ -22,15 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TreeEdge:
-    """One transform of a tree.
+    """One transform of a tree: ``T_parent_child`` (4, 4), the pose of the child, metres.
 
-    Attributes
-    ----------
-    parent, child : names of the frames, the links of a joint.
-    T_parent_child : (4, 4), the pose of the child in the parent, metres.
-    kind : 'fixed' where it never changes; other joints of a URDF, 'moving' in TF.
-    name : of a joint.
-
+    ``parent`` and ``child`` are frames, the links of the joint ``name``; ``kind`` is 'fixed' where
+    it never changes, else that of a URDF, or 'moving' in TF.
     """
 
     parent: str

@@ -20,19 +20,11 @@ from trajectory_calibration.result import CalibrationResult
 class Placement:
     """The pose of one frame in another, as an export writes it.
 
-    Attributes
-    ----------
-    parent, child : names of the frames.
-    T_parent_child : (4, 4), the pose of the child in the parent, metres:
-        ``p_parent = T_parent_child @ p_child``.
-    covariance : (6, 6) or None; x, y, z (m), then rotation x, y, z (rad) about the axes of the
-        parent, as in ``CalibrationResult``.
-    unobserved : the degrees of freedom of the result that neither the motion nor a prior
-        determines, as 'z of camera in lidar'.
-    kept_back : 'y, z of camera in lidar', what of these must not go out, because
-        ``allow_unobserved`` is not set; '' for nothing.
-    origin : one sentence about where the numbers come from.
-
+    ``T_parent_child`` is (4, 4), metres: ``p_parent = T_parent_child @ p_child``. ``covariance``,
+    (6, 6), order and side as in ``CalibrationResult``, about the axes of the parent. Of
+    ``unobserved``, the degrees of freedom of the result that neither the motion nor a prior
+    determines ('z of camera in lidar'), ``kept_back`` names those that must not go out, because
+    ``allow_unobserved`` is not set. ``origin`` says where the numbers come from.
     """
 
     parent: str
