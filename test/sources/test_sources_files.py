@@ -178,6 +178,7 @@ def test_garbage_names_the_line(tmp_path, track, line, message):
     (b'a,b,c\n', 'holds no poses'),
     (b'<?xml version="1.0"?>\n<robot/>\n', 'is XML; needed a table of poses'),
     (b'[{"x": 1}]\n', 'is JSON; needed a table of poses'),
+    (b'header:\n  stamp:\n    sec: 1\n', r'is YAML \(as ros2 topic echo without --csv\); needed'),
     (b'{"x": 1}\n', r'is JSON, but no transforms.json with .* \(frames is missing\)'),
     (b'1 2 3\n', '3 columns and no heading .*: positions without an orientation'),
     (b'%INSPVASA,1;1,2\n' * 3, r'holds no poses \(48 bytes, all of them comments: # % //\)'),

@@ -333,8 +333,8 @@ def _advice_on_rotations(
     # The rotations alone may agree.
     for finding in two_worlds(np.eye(4), pairs, (a.sensor_frame, b.sensor_frame)):
         return finding.text[0].upper() + finding.text[1:]
-    advice = ('Are both of one drive of one vehicle? Check the topics or files, and the clocks '
-              '(max_time_offset is the largest offset that is searched)')
+    advice = ('Are both of one drive of one vehicle? Check the topics or files, order and sign of '
+              'angles, and the clocks (max_time_offset is the largest offset that is searched)')
     if config.time_offset_mode == 'fixed' or not 0 < config.max_time_offset < _FAR_OFFSET:
         return advice
     with suppress(AssociationError):

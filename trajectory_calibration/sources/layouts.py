@@ -202,8 +202,9 @@ def from_numbers(
     if not fitting:
         hint = ': column 1 is no number (a date? Write seconds since 1970)' if np.isnan(
             sample[:, 0]).all() else _HINTS.get(width, '')
-        raise SourceError(f'{seen}; no known layout fits{hint}; say what '
-                          f'they are, for instance --columns {_TUM} (- skips a column)')
+        if '--columns' not in hint:
+            hint += f'; say what they are, for instance --columns {_TUM} (- skips a column)'
+        raise SourceError(f'{seen}; no known layout fits{hint}')
     if len(fitting) > 1:
         raise SourceError(f'{seen}, which may be {" or ".join(map(Layout.names, fitting))}; say '
                           'which with --columns')

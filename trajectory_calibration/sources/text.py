@@ -26,8 +26,8 @@ _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 _LFS = b'version https://git-lfs.github.com/spec/'
 _COMMENTS = ('#', '%', '//')
 _WORDS = re.compile(r'[,;\s]+')
-# How XML and JSON begin.
-_FOREIGN = re.compile(r'\s*(<|\[?\s*\{)')
+# How XML and JSON begin, and what ros2 topic echo prints.
+_FOREIGN = re.compile(r'\s*(<|\[?\s*\{|header:\n)')
 # A number with a comma before its decimals, as spreadsheets of many countries write it.
 _DECIMAL_COMMA = re.compile(r'[-+]?\d+,\d+([eE][-+]?\d+)?')
 # Rows from the beginning and from the end by which a layout is known.
@@ -70,7 +70,8 @@ class Table:
         """
         foreign = _FOREIGN.match(text)
         if foreign is not None:
-            kind = 'XML' if foreign[1] == '<' else 'JSON'
+            kind = {'<': 'XML', '[': 'JSON', '{': 'JSON'}.get(
+                foreign[1][0], 'YAML (as ros2 topic echo without --csv)')
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
         everything = text.replace('"', '').split('\n')
         headings, first = _headings(everything)
