@@ -99,7 +99,8 @@ def test_wrong_usage_is_a_sentence(bag, capsys, arguments, status, sentence):
 
 @pytest.mark.parametrize('content', [
     'words', '[/**]', '5', '', '/**: x', '/**: {ros__parameters: ab}', '/**: {}',
-    '/**: {ros__parameters: [[solver, dnl]]}', '7: {}\n/**: 1'])
+    '/**: {ros__parameters: [[solver, dnl]]}', '7: {}\n/**: 1',
+    '/other_node: {ros__parameters: {solver: dnl}}'])
 def test_a_file_without_parameters_is_refused(tmp_path, capsys, content):
     path = tmp_path / 'parameters.yaml'
     path.write_text(content)
@@ -118,7 +119,9 @@ def test_a_parameter_that_is_no_yaml_is_refused(tmp_path, capsys, value):
 def test_parameters_of_this_node_only_are_taken(bag, tmp_path, capsys):
     path = tmp_path / 'parameters.yaml'
     path.write_text(
-        '/front/trajectory_calibration:\n  ros__parameters: {solver: taylor}\n'
+        # As `ros2 param dump` writes a name with a dot.
+        '/front/trajectory_calibration:\n  ros__parameters:\n    solver: taylor\n'
+        '    diagnostic_updater: {period: 0.5}\n'
         '/**:\n  ros__parameters: {solver: park, reference: B2, use_sim_time: true}\n'
         '/other_node:\n  ros__parameters: {solver: nonsense}\n')
     assert main(['replay', str(bag[0]), '--params-file', str(path), '--format', 'yaml']) == 0

@@ -107,6 +107,17 @@ def test_only_a_fixed_transform_is_compared_with():
         None)
 
 
+def test_of_a_frame_for_each_object_that_is_tracked_those_of_long_ago_are_forgotten():
+    frames = vehicle('odom ~base_link', 'base_link lidar')
+    for k in range(5000):
+        frames.add('odom', f'track_{k}', np.eye(4), static=False)
+        if k % 100 == 0:
+            frames.add('odom', 'base_link', np.eye(4), static=False)
+    assert len(frames._edges) <= 1000
+    # What still comes and what is fixed stays: b hangs below base_link.
+    assert 'already connects' in placed(frames, b='base_link')
+
+
 def test_one_name_for_both_sensors_is_compared_with_nothing():
     # As of two odometries that both give the pose of base_link.
     assert vehicle('odom base_link').transform('base_link', 'base_link') is None

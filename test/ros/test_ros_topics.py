@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is subscribed to, for what publishers offer."""
 
+import numpy as np
 import pytest
 from ros_if_any import needs_ros, ros
 
@@ -9,7 +10,7 @@ from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer
 
 pytestmark = [needs_ros, pytest.mark.ros]
 if ros is not None:
-    from trajectory_calibration.ros import topics
+    from trajectory_calibration.ros import messages, topics
 
 DEPTH = 5000
 
@@ -80,3 +81,21 @@ def test_another_reliability_asks_for_nothing_twice_and_another_type_does():
     assert [(profile.reliability.name, profile.durability.name) for profile in profiles] == [
         ('RELIABLE', 'TRANSIENT_LOCAL'), ('BEST_EFFORT', 'VOLATILE'),
         ('RELIABLE', 'TRANSIENT_LOCAL')]
+
+
+def test_what_waits_is_taken_at_one_wake():
+    # To wake costs ten times what a pose does.
+    taken, woken = [], 0
+    with ros.connected() as client:
+        messages.subscribe(client.node, ros.TYPES['PoseStamped'], 'a', taken.append,
+                           topics.QoSProfile(depth=40))
+        publisher = client.publisher('a', 'PoseStamped')
+        for stamp_ns in range(1, 101):
+            publisher.publish(ros.to_message('PoseStamped', stamp_ns, np.eye(4)))
+        while len(taken) < 40:
+            before = len(taken)
+            client.executor.spin_once(timeout_sec=1.0)
+            woken += len(taken) > before
+    # As many as the queue holds, the newest ones.
+    newest = ros.serialize_message(ros.to_message('PoseStamped', 100, np.eye(4)))
+    assert (woken, len(taken), taken[-1]) == (1, 40, newest)

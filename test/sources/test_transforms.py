@@ -280,6 +280,43 @@ def test_without_a_pose_no_more_than_a_minute_is_kept(parent, child):
     assert held(follower) < (10 if child == 'odom' else 5000)
 
 
+def test_a_frame_for_each_object_that_is_tracked_takes_neither_memory_nor_time():
+    # An hour with a new object a second; the chain is found after a minute.
+    follower = ChainFollower('map', 'base')
+    pose = (0.0, 0, 0, 0, 0, 0, 1)
+    poses, most = 0, 0
+    for k in range(3600):
+        at_ns = k * 10**9
+        follower.add('map', f'track_{k}', at_ns, pose)
+        follower.add('map', 'odom', at_ns, (k, 0, 0, 0, 0, 0, 1))
+        if k > 60:
+            follower.add('odom', 'base', at_ns, (0, k, 0, 0, 0, 0, 1))
+        poses += len(follower.take()[0])
+        most = max(most, len(follower._tree.edges))
+    assert poses > 3500
+    assert most < 70
+    assert [str(edge) for edge in follower._tree.edges] == ['map -> odom', 'odom -> base']
+    # Where there is no chain, they are bounded.
+    other = ChainFollower('map', 'nowhere')
+    for k in range(3000):
+        other.add('map', f'track_{k}', k * 10**9, pose)
+        if k % 10 == 0:
+            other.take()
+    assert len(other._tree.edges) < 1010
+
+
+def test_a_second_parent_is_found_and_its_clock_forgets_nothing():
+    tree, *_ = robot()
+    follower = ChainFollower('map', 'lidar')
+    drive_past(follower, PoseBuffer(BufferLimits()), tree)
+    follower.add('elsewhere', 'base_link', 10 * 10**9, (0, 0, 0, 0, 0, 0, 1))
+    follower.add('elsewhere', 'base_link', 0, (0, 0, 0, 0, 0, 0, 1))
+    assert follower.take()[0].size == 0 and follower.waiting_for == ''
+    follower.add('map', 'base_link', 0, (0, 0, 0, 0, 0, 0, 1))
+    follower.take()
+    assert 'two ways from map to lidar' in follower.waiting_for
+
+
 def test_stamps_that_hardly_advance_and_static_transforms_take_no_memory():
     follower = ChainFollower('map', 'base')
     pose = (0.0, 0, 0, 0, 0, 0, 1)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,15 +89,22 @@ def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[
 
 def _of_the_node(document: Any, path: Path) -> dict[str, Any]:
     """Return the parameters for any node, then those under the node's own name."""
-    values: dict[str, Any] = {}
-    nodes = document if isinstance(document, dict) else {'/**': None}
-    for key in sorted(map(str, nodes), key=lambda key: key != '/**'):
-        if key == '/**' or key.rpartition('/')[2] == _NODE_NAME:
-            node = nodes[key]
-            given = node.get('ros__parameters') if isinstance(node, dict) else None
-            if not isinstance(given, dict):
-                raise ConfigError(
-                    f'{path} holds no parameters of {_NODE_NAME}; needed them under '
-                    '"/**:" and "ros__parameters:" as in config/calibration.yaml')
-            values.update((str(name), value) for name, value in given.items())
-    return values
+    nodes = {str(key): node for key, node in document.items()} if (
+        isinstance(document, dict)) else {}
+    given = [node.get('ros__parameters') if isinstance(node, dict) else None
+             for key, node in sorted(nodes.items(), key=lambda item: item[0] != '/**')
+             if key == '/**' or key.rpartition('/')[2] == _NODE_NAME]
+    if not given or not all(isinstance(values, dict) for values in given):
+        raise ConfigError(
+            f'{path} holds no parameters of {_NODE_NAME}; needed them under "/**:" and '
+            '"ros__parameters:" as in config/calibration.yaml')
+    return {name: value for values in given for name, value in _flat(values)}
+
+
+def _flat(values: Any, above: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield names with dots, which ``ros2 param dump`` writes one below the other."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f'{above}{name}.')
+        else:
+            yield f'{above}{name}', value

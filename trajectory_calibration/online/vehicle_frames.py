@@ -24,6 +24,9 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.frame_tree import between, TreeEdge, upwards
 
+# Of more frames, as of each object that is tracked, those that moved longest ago are forgotten.
+_MOST_FRAMES = 1000
+
 # Transforms of this difference, metres and radians, are one that was published twice.
 _SAME = 1e-9
 
@@ -70,7 +73,13 @@ class VehicleFrames:
             self._conflicts[edge.child] = (
                 f'another node publishes {edge.parent} -> {edge.child}, which this node publishes '
                 f'as {self._published[-1].parent} -> {edge.child}; stop one of the two')
+        # Taken out first, so that those heard last are last.
+        self._edges.pop(edge.child, None)
         self._edges[edge.child] = edge
+        if len(self._edges) > _MOST_FRAMES:
+            moving = [name for name, edge in self._edges.items() if edge.kind == 'moving']
+            for name in moving[:-(-len(moving) // 2)]:
+                del self._edges[name]
 
     def published(self, edge: TreeEdge) -> None:
         """Note what this node has put on /tf_static."""

@@ -64,8 +64,9 @@ class SolverProcess(Generic[Answer]):
     """Runs one job at a time.
 
     ``done`` is called without arguments, as a rule from another thread, when the outcome can be
-    taken: once for every ``start``, whatever happened. ``busy`` until it is taken. ``cpu_s`` is
-    the CPU time of the last job, its process included; of one that was stopped, its duration.
+    taken: once for every ``start``, whatever happened. ``busy`` until it is taken, ``ready`` when
+    that waits for nothing. ``cpu_s`` is the CPU time of the last job, its process included; of one
+    that was stopped, its duration.
     """
 
     def __init__(self, done: Callable[[], None]) -> None:
@@ -75,7 +76,7 @@ class SolverProcess(Generic[Answer]):
         self._process: subprocess.Popen[bytes] | None = None
         self._cancelled: str | None = None
         self._outcome: Answer | CalibrationError = _UNFINISHED
-        self.busy = False
+        self.busy = self.ready = False
         self.cpu_s = 0.0
         self.started_s = 0.0
 
@@ -89,7 +90,7 @@ class SolverProcess(Generic[Answer]):
             thread.start()
         except RuntimeError as error:
             self._outcome = SolverError(f'the calibration could not be started: {error}')
-            self._done()
+            self._end()
             return
         self._thread = thread
 
@@ -105,7 +106,8 @@ class SolverProcess(Generic[Answer]):
         if self._thread is not None:
             self._thread.join()
         outcome = self._outcome
-        self.busy, self._thread, self._outcome = False, None, _UNFINISHED
+        self.busy = self.ready = False
+        self._thread, self._outcome = None, _UNFINISHED
         return outcome if self._cancelled is None else StoppedError(self._cancelled)
 
     def shutdown(self) -> None:
@@ -125,7 +127,11 @@ class SolverProcess(Generic[Answer]):
             self._outcome = SolverError(
                 'not enough memory to start the solver; lower max_poses, or free some')
         finally:
-            self._done()
+            self._end()
+
+    def _end(self) -> None:
+        self.ready = True
+        self._done()
 
     def _solve(self, job: SolverJob[Answer], timeout_s: float) -> Answer | CalibrationError:
         work = pickle.dumps(job, protocol=5)

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 import time
 from typing import Any
 
@@ -15,19 +14,17 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from trajectory_calibration.data.trajectory import pose_faults
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.geometry import se3
-from trajectory_calibration.online.buffer import fault_of
 from trajectory_calibration.online.vehicle_frames import difference_in_words, VehicleFrames
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.ros.messages import LATCHED, stamp_ns, to_transform_stamped
+from trajectory_calibration.ros.messages import LATCHED, subscribe, to_transform_stamped
+from trajectory_calibration.sources.cdr import parse_poses, TF
+from trajectory_calibration.sources.edges import matrices
 from trajectory_calibration.sources.transforms import ChainFollower
 
 # How long the node listens before it publishes on /tf_static: discovery takes up to 3 seconds.
 _LISTEN_S = 4.0
-
-# A moving transform is looked at once in this time for where it hangs, seconds.
-_LOOK_S = 1.0
 
 # As tf2's own listener and broadcaster have it.
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -52,7 +49,8 @@ class VehicleTransforms:
         self._node = node
         self._frames = VehicleFrames()
         self.followers: list[ChainFollower] = []
-        self._looked_s: dict[tuple[str, str], float] = {}
+        # Messages since the last update, and whether their transforms are static.
+        self._heard: dict[bool, list[bytes]] = {True: [], False: []}
         self._since_s = time.monotonic()
         self._publisher = None
         # The newest answer until the node has listened, and its frames that nobody named.
@@ -69,11 +67,10 @@ class VehicleTransforms:
                     'ros-jazzy-tf2-msgs') from error
             return
         self._message_type: Any = TFMessage
-        node.create_subscription(
-            TFMessage, '/tf_static', partial(self._hear, static=True), _STATIC)
+        subscribe(node, TFMessage, '/tf_static', self._heard[True].append, _STATIC)
         if publish or moving:
-            node.create_subscription(
-                TFMessage, '/tf', partial(self._hear, static=False), QoSProfile(depth=depth))
+            subscribe(
+                node, TFMessage, '/tf', self._heard[False].append, QoSProfile(depth=depth))
         if publish:
             self._publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
 
@@ -86,11 +83,27 @@ class VehicleTransforms:
 
     def reset(self) -> None:
         """Have the followers begin anew, so that no pose from before comes out later."""
+        self._heard[False].clear()
         for follower in self.followers:
             follower.restart()
 
+    def update(self) -> None:
+        """Take what has come since the last call; what is damaged is left out."""
+        for static, messages in self._heard.items():
+            runs, _ = parse_poses(messages, TF)
+            messages.clear()
+            for follower in self.followers:
+                follower.extend(runs, static=static)
+            for run in runs:
+                if static and len(usable := run.poses[~np.any(pose_faults(run.poses), axis=0)]):
+                    self._frames.add(*run.frames, matrices(usable[-1:])[0], static=True)
+                elif self._publisher and not static:
+                    # Of one that moves it matters only between which frames it is.
+                    self._frames.add(*run.frames, np.eye(4), static=False)
+
     def settle(self) -> None:
         """Publish what waits, once the vehicle has been heard; log what is wrong in TF."""
+        self.update()
         if self._publisher is None:
             return
         error = self._node.get_logger().error
@@ -122,18 +135,3 @@ class VehicleTransforms:
             return ''
         return (f"differs from the vehicle's own transform {result.frame_a} -> {result.frame_b} "
                 f'by {difference_in_words(result.T_a_b, T_today)}')
-
-    def _hear(self, message: Any, *, static: bool) -> None:
-        now_s = time.monotonic()
-        for item in message.transforms:
-            parent, child = names = item.header.frame_id, item.child_frame_id
-            t, q = item.transform.translation, item.transform.rotation
-            pose = t.x, t.y, t.z, q.x, q.y, q.z, q.w
-            if static or now_s - self._looked_s.get(names, -_LOOK_S) >= _LOOK_S:
-                self._looked_s[names] = now_s
-                if fault_of(pose) is None:
-                    unit = np.array(pose[3:]) / np.linalg.norm(pose[3:])
-                    self._frames.add(parent, child, se3.from_rotation_translation(
-                        se3.quaternion_to_rotation(unit), np.array(pose[:3])), static=static)
-            for follower in self.followers:
-                follower.add(parent, child, stamp_ns(item.header.stamp), pose, static=static)

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import json
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import (
@@ -19,8 +21,10 @@ from geometry_msgs.msg import (
 )
 from nav_msgs.msg import Odometry, Path
 import numpy as np
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from std_msgs.msg import ColorRGBA, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -84,9 +88,30 @@ class ResultPublisher:
             self._publishers[name].publish(message)
 
 
-def stamp_ns(stamp: Time) -> int:
-    """Return the nanoseconds of a stamp."""
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+def subscribe(
+    node: Node, kind: Any, topic: str, take: Callable[[bytes], None], profile: QoSProfile,
+    on_lost: Callable[[QoSMessageLostInfo], None] | None = None,
+) -> Subscription:
+    """Have every serialized message taken; ``on_lost`` hears of those that DDS says it lost.
+
+    All that wait are taken together. An executor of rclpy takes one each time it wakes, and to
+    wake costs ten times what a pose does: two topics of 200 Hz took a fifth of a core.
+    """
+    def take_all(message: bytes) -> None:
+        take(message)
+        with subscription.handle:
+            # No more than the queue holds, so that a flood does not hold up the rest.
+            for _ in range(profile.depth):
+                # As rclpy.wait_for_message does.
+                taken = subscription.handle.take_message(kind, subscription.raw)
+                if taken is None:
+                    break
+                take(taken[0])
+
+    subscription: Subscription = node.create_subscription(
+        kind, topic, take_all, profile, raw=True,
+        event_callbacks=SubscriptionEventCallbacks(message_lost=on_lost))
+    return subscription
 
 
 def to_transform_stamped(

@@ -200,6 +200,9 @@ class CalibrationNode(Node):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         poses_a, poses_b = map(len, self._session.buffers)
         self._solver.cancel('stopped by a reset')
+        if self._solver.busy:
+            # Now, so that a call right after this one does not find it busy.
+            self._answer_call()
         self._background.reset()
         self._tf.reset()
         self._session.reset()
@@ -222,14 +225,16 @@ class CalibrationNode(Node):
 
     def _save(self, result: CalibrationResult, *, exports: bool = False) -> tuple[bool, str]:
         """Save a result; return whether that succeeded, and a sentence."""
+        saved = 'not saved'
         try:
             path = self._store.save(result)
             saved = f'saved in {path}'
             if exports and result.frame_a != result.frame_b:
-                saved += f'; URDF and other exports in {self._store.export(result, path)}'
+                saved += '; URDF and other exports'
+                saved += f' in {self._store.export(result, path)}'
         except ResultError as error:
             self.get_logger().error(str(error))
-            return False, f'not saved: {error}'
+            return False, f'{saved}: {error}'
         return True, saved
 
     def _find_restored(self) -> Restored | None:
@@ -269,9 +274,12 @@ class CalibrationNode(Node):
         self._tf.take(result, self._session.invented(_frames(self._settings.values())))
 
     def _on_solved(self) -> None:
+        # Unless a reset was faster.
+        if self._solver.ready:
+            self._answer_call()
+
+    def _answer_call(self) -> None:
         """Publish what the solver found and answer the call that waits for it."""
-        if not self._solver.busy:
-            return
         outcome = self._solver.take_outcome()
         failure = outcome.refusal if isinstance(outcome, Calibration) else str(outcome)
         if isinstance(outcome, StoppedError):

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import time
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -17,6 +18,9 @@ from trajectory_calibration.ros.node import CalibrationNode, NODE_NAME
 
 # Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
 _HIGHEST_DOMAIN = 232
+
+# Between two callbacks: what comes meanwhile is taken together.
+_REST_S = 0.02
 
 
 def _init() -> None:
@@ -39,6 +43,7 @@ def main(stopped: Callable[[], bool]) -> int:
         executor.add_node(node)
         while rclpy.ok() and not stopped():
             executor.spin_once(timeout_sec=0.2)
+            time.sleep(_REST_S)
         node.take_leave(executor)
         executor.shutdown()
     except ConfigError as error:

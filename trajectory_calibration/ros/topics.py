@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.event_handler import QoSMessageLostInfo
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -19,7 +19,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.buffer import PoseBuffer
 from trajectory_calibration.online.feed import PoseFeed
 from trajectory_calibration.ros.frames import VehicleTransforms
-from trajectory_calibration.ros.messages import MESSAGE_TYPES
+from trajectory_calibration.ros.messages import MESSAGE_TYPES, subscribe
 from trajectory_calibration.sources.cdr import PATH
 from trajectory_calibration.sources.transforms import ChainFollower
 
@@ -112,10 +112,9 @@ class TrajectorySubscription:
             # Another kind of message is another source: its poses do not continue the old ones.
             self._buffer.clear()
         self._msgtype, self._profile = msgtype, profile
-        self._subscription = self._node.create_subscription(
-            MESSAGE_TYPES[msgtype], self._name,
-            PoseFeed(msgtype, self._buffer), profile, raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost))
+        self._subscription = subscribe(
+            self._node, MESSAGE_TYPES[msgtype], self._name, PoseFeed(msgtype, self._buffer),
+            profile, self._on_lost)
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')
 
@@ -131,12 +130,14 @@ class TransformSubscription:
         buffer: PoseBuffer,
     ) -> None:
         self._name, self._frames, self._buffer = name, frames, buffer
+        self._transforms = transforms
         self._follower = ChainFollower(*frames)
         transforms.followers.append(self._follower)
         self.status = TopicStatus(f'waiting for {name}')
 
     def update(self) -> None:
         """Take the poses that became known since the last call."""
+        self._transforms.update()
         stamps_ns, poses, refused = self._follower.take()
         self._buffer.count_refused(refused)
         rows = np.hstack([poses[:, :3, 3], se3.rotation_to_quaternion(poses[:, :3, :3])])

@@ -10,8 +10,9 @@ interpolated. Frame names lose a leading slash, as tf2 wants it.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from trajectory_calibration.errors import ConfigError, counted, TopicError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.sources.cdr import Poses
 from trajectory_calibration.sources.edges import (
     Edge,
     fault_words,
@@ -29,6 +31,9 @@ from trajectory_calibration.sources.edges import (
 )
 
 TF_PREFIX = 'tf:'
+
+# Edges that move are kept up to this number until the chain is known.
+_MOST_MOVING = 1000
 
 
 class Link(NamedTuple):
@@ -127,15 +132,18 @@ class TransformTree:
 
     def _paths(self, start: str, without: Edge | None = None) -> dict[str, list[Link]]:
         """Return the shortest ways from a frame to all that it is connected with."""
+        links: defaultdict[str, list[tuple[str, Link]]] = defaultdict(list)
+        for edge in self.edges:
+            if edge is not without:
+                links[edge.parent].append((edge.child, Link(edge, downwards=True)))
+                links[edge.child].append((edge.parent, Link(edge, downwards=False)))
         reached: dict[str, list[Link]] = {start: []}
         waiting = deque([start])
         while waiting:
             name = waiting.popleft()
-            for edge in self.edges:
-                other = edge.child if edge.parent == name else edge.parent
-                if edge is not without and name in (edge.parent, edge.child) and (
-                        other not in reached):
-                    reached[other] = [*reached[name], Link(edge, edge.parent == name)]
+            for other, link in links[name]:
+                if other not in reached:
+                    reached[other] = [*reached[name], link]
                     waiting.append(other)
         return reached
 
@@ -168,13 +176,27 @@ class ChainFollower:
         self._given_ns = -2**63
         # The edges of the chain, once they are known, and the one whose stamps the poses get.
         self._chain: frozenset[Edge] = frozenset()
+        self._children: frozenset[str] = frozenset()
         self._stamps_of: Edge | None = None
+
+    def extend(self, runs: Iterable[Poses], *, static: bool = False) -> None:
+        """Take what many messages hold, in their order."""
+        for _, frames, stamp_ns, pose in sorted(
+                ((message, run.frames, stamp_ns, pose)
+                 for run in runs if not self._is_needless(run.frames[1], static=static)
+                 for message, stamp_ns, pose in zip(
+                     *(column.tolist() for column in run[1:]), strict=True)),
+                key=itemgetter(0)):
+            self.add(*frames, stamp_ns, pose, static=static)
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
             static: bool = False) -> None:
         """Take the pose (x, y, z, qx, qy, qz, qw) of ``child`` in ``parent`` at a time."""
+        if self._is_needless(child, static=static):
+            return
         edge = self._tree.edge(parent, child, static=static)
-        if self._is_needless(edge):
+        if self._chain and edge not in self._chain and not static:
+            # A second parent: it matters that there is one, not where.
             return
         if edge.goes_back(stamp_ns):
             if self._chain:
@@ -195,19 +217,24 @@ class ChainFollower:
             edge.settle()
         try:
             links = self._tree.chain(self.parent, self.child)
-            if not self._chain:
-                self._chain = frozenset(link.edge for link in links)
-                for edge in filter(self._is_needless, self._tree.edges):
-                    self._tree.drop(edge)
+            self._chain = frozenset(link.edge for link in links)
+            self._children = frozenset(edge.child for edge in self._chain)
             stamps_ns, poses = self._compose(links)
         except TopicError as error:
             self.waiting_for = str(error)
+        moving = [edge for edge in self._tree.edges if not edge.static]
+        for edge in moving:
+            # Before the chain is known, no more than so many, as of each object that is tracked.
+            if self._is_needless(edge.child) or (
+                    not self._chain and len(moving) > _MOST_MOVING):
+                self._tree.drop(edge)
         refused = sum((edge.new_refusals() for edge in self._chain), start=np.zeros(3, np.int64))
         return stamps_ns, poses, refused
 
-    def _is_needless(self, edge: Edge) -> bool:
+    def _is_needless(self, child: str, *, static: bool = False) -> bool:
+        """Tell a transform that is none of the known chain, and no second parent in it."""
         # Static ones may be of another chain, after a restart.
-        return bool(self._chain) and edge not in self._chain and not edge.static
+        return not static and bool(self._chain) and child.lstrip('/') not in self._children
 
     def _compose(self, links: Sequence[Link]) -> tuple[NDArray[np.int64], FloatArray]:
         """Return what is new of a chain; raise TopicError where nothing moves yet."""
