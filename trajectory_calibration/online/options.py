@@ -48,8 +48,8 @@ _GROUPS: tuple[tuple[str, bool, tuple[Option, ...]], ...] = (
                f'topic with the trajectory of the child sensor b, {_TF}'),
         Option('type_a', AUTOMATIC, f'message type of topic_a: {_TYPES}'),
         Option('type_b', AUTOMATIC, f'message type of topic_b: {_TYPES}'),
-        Option('queue_depth', 5000, 'depth of the subscription queues (a Path topic always '
-               'uses 1)', 1, 1_000_000),
+        Option('queue_depth', 5000, 'messages of a topic that may wait, which takes 0.1 s and '
+               'more; of a Path always 1', 100, 1_000_000),
     )),
     ('What is kept', False, (
         Option('max_poses', _LIMITS.max_poses, 'largest number of poses kept for each sensor; the '
