@@ -61,10 +61,10 @@ class Executor:
         CalibrationError where a process was killed.
         """
         if not items:
-            # A cluster or a pool of processes takes longer to start than there is to do.
+            # Starting a cluster or processes would be a waste.
             return
         joblib = require('joblib')
-        # One thread each: the linear algebra here is too small to share.
+        # One thread each: the matrices are too small for more.
         settings = {'backend': 'dask'} if self.backend == 'dask' else {
             'backend': 'loky', 'n_jobs': self.count, 'inner_max_num_threads': 1}
         with self._cluster():
@@ -82,8 +82,8 @@ class Executor:
                     joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
             except BrokenExecutor as error:
                 raise CalibrationError(
-                    'a process that calibrates was ended from outside, as the system does where '
-                    'memory is short; use fewer (--processes of fleet, processes in RIG.yaml)'
+                    'a process was killed, perhaps for lack of memory; use fewer processes '
+                    '(--processes of fleet, processes in RIG.yaml)'
                 ) from error
 
     def _cluster(self) -> AbstractContextManager[Any]:

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From two trajectories to an extrinsic: the stages, one a line."""
+"""The pipeline from two trajectories to an extrinsic, one stage per line."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import in_total
 from trajectory_calibration.time_alignment.pairing import association_findings, UNPAIRED_SHARE
 
-# With fewer pairs than this, how they came about may be why there is no answer.
+# With fewer pairs than this, the association may be the reason for an error.
 _FEW_PAIRS = 30
 
 
@@ -49,7 +49,7 @@ def calibrate(
     trajectory_b: Trajectory,
     config: CalibrationConfig | None = None,
 ) -> CalibrationResult:
-    """Find the extrinsic between two sensors from their trajectories.
+    """Estimate the extrinsic between two sensors from their trajectories.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ def calibrate(
     Raises
     ------
     CalibrationError
-        One of its subclasses: AssociationError (no common time), MotionError (the motion does
-        not determine the extrinsic), SolverError (no minimum found), ConfigError,
-        TrajectoryError (no trajectory was given).
+        One of its subclasses: AssociationError (no common time), MotionError (no motion, or
+        trajectories that do not belong together), SolverError (no minimum found), ConfigError,
+        TrajectoryError (an argument is no trajectory).
 
     """
     for name, given in (('trajectory_a', trajectory_a), ('trajectory_b', trajectory_b)):
@@ -84,13 +84,13 @@ def calibrate(
     trajectory_b, held_b = without_held(trajectory_b.scaled(config.scale))
     check_orientations(trajectory_a, trajectory_b, config)
     clock, pairs = match(trajectory_a, trajectory_b, config)
-    # A camera without scale may be as fast as it likes: the unit of b is found.
+    # The speed of b is not checked: a monocular camera has an arbitrary unit.
     doubts = (*held_a, *held_b, *time_doubts(trajectory_a), *time_doubts(trajectory_b),
               *position_doubts(trajectory_a))
     matched = (*association_findings(pairs, trajectory_a, trajectory_b),
                *clock.findings(config.time_offset, trajectory_b.sensor_frame,
                                trajectory_b.duration_s))
-    with _recalled((*doubts, *(matched if _matched_little(pairs.summary) else ()))):
+    with _with_findings((*doubts, *(matched if _poorly_matched(pairs.summary) else ()))):
         questions = check_pairs(pairs, trajectory_a, trajectory_b, clock, config)
         choice = choose_reference(pairs, config)
         motions = select_motions(pairs, choice.reference)
@@ -149,8 +149,8 @@ def calibrate(
 
 
 @contextmanager
-def _recalled(found: Sequence[Finding]) -> Iterator[None]:
-    """Add what was found of the input to an error that it may explain."""
+def _with_findings(found: Sequence[Finding]) -> Iterator[None]:
+    """Append findings about the input to an error that they may explain."""
     try:
         yield
     except (MotionError, SolverError) as error:
@@ -159,8 +159,8 @@ def _recalled(found: Sequence[Finding]) -> Iterator[None]:
         raise
 
 
-def _matched_little(summary: AssociationSummary) -> bool:
-    """Tell whether the pairs are few, or much was left without a partner."""
+def _poorly_matched(summary: AssociationSummary) -> bool:
+    """Return whether there are few pairs or many unpaired poses."""
     count = summary.poses_b if summary.stamps_of == 'b' else summary.poses_a
     unpaired = max(summary.in_gaps, summary.outside) / count
     return summary.pairs < _FEW_PAIRS or unpaired > UNPAIRED_SHARE

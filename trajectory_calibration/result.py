@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The answer, with everything needed to judge it and to repeat it."""
+"""The result of a calibration: plain, versioned data."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.version import __version__
 
-# Raised when a key of the saved form changes its meaning.
+# Increased when a key of the saved form changes its meaning.
 FORMAT_VERSION = 2
 
-# Poses or motions of a result: more than any memory holds are a spoilt file.
+# Largest number of poses or motions; more means a corrupt file.
 _LARGEST_COUNT = 10**9
 
 _T = TypeVar('_T')
@@ -54,24 +54,22 @@ class CalibrationResult:
         fixed axes of a: ``t = t_hat + dt``, ``R = exp(dtheta) R_hat``.
     metrics : mean relative errors e_rt (m) and e_rR (rad) over the motions.
     poses, motions : pairs of poses that were associated, and relative motions formed from them.
-    inliers : (motions,) bool, the motions that the solver kept, or None where it rejects none.
-    observability, association : what the motion determined, and how the poses were paired.
-    config : the settings that were used.
-    findings : what a person should know of the data and the answer, worst first; their codes
-        are those of docs/findings.md.
-    scale : metres of a per metre of b, by which b was multiplied.
+    inliers : (motions,) bool, motions that are not outliers; None if the solver rejects none.
+    observability, association : observability of each direction, summary of the pose pairs.
+    config : the settings.
+    findings : on the data and the answer, worst first; codes as in docs/findings.md.
+    scale : metres of a per metre of b, by which the positions of b were multiplied.
     time_offset_s, clock_drift, clock_drift_from_ns : stamps of b became
         ``t + clock_drift (t - clock_drift_from_ns) + time_offset_s``.
-    diagnosis : the noise of the two trajectories as plain data, or None where the solver does
-        not identify it.
-    reference, reference_choice : of the motions, and why ``auto`` chose it, or None where the
-        reference was given.
-    optimality_gap : how much lower the solver's cost could be elsewhere, at most, as a share of
-        it; None where the solver gives no certificate.
-    start_ns, duration_s : first stamp of the pairs in the clock of a, and their time span; None
-        in files that do not say so.
-    recording : digits that another result has only if its stamps and poses were the same; None in
-        files that do not say so.
+    diagnosis : noise of the two trajectories as plain data; None if the solver does not identify
+        it.
+    reference, reference_choice : reference of the motions, and why ``auto`` chose it; None if it
+        was given.
+    optimality_gap : upper bound of the relative decrease of the cost at any other extrinsic; None
+        without a certificate.
+    start_ns, duration_s : first stamp of the pairs in the clock of a, and their time span; None in
+        older files.
+    recording : checksum of all stamps and poses; None in older files.
     version : of the package that made the result.
 
     """
@@ -102,7 +100,7 @@ class CalibrationResult:
     version: str = __version__
 
     def __post_init__(self) -> None:
-        # Copies of its own: what is frozen must not change through an array of the caller's.
+        # Copies, so that the caller's arrays cannot change a frozen result.
         for name in ('T_a_b', 'covariance', 'inliers'):
             array = getattr(self, name)
             if array is not None:
@@ -112,7 +110,7 @@ class CalibrationResult:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Return the sentences of the findings."""
+        """Return the texts of the findings."""
         return texts(self.findings)
 
     @property
@@ -125,7 +123,7 @@ class CalibrationResult:
 
     @property
     def start_utc(self) -> str | None:
-        """Return when the data begin, '2023-11-14T22:13:20Z'; None where no calendar has it."""
+        """Return the start of the data, '2023-11-14T22:13:20Z'; None beyond the calendar."""
         if self.start_ns is None:
             return None
         try:
@@ -142,18 +140,18 @@ class CalibrationResult:
         return str(_shown_by('screen').format_result(self)).rstrip('\n')
 
     def _repr_html_(self) -> str:
-        """Return the verdict box, which notebooks show."""
+        """Return the verdict box for notebooks."""
         return str(_shown_by('report').render_box(self))
 
     def plot(self, a: Trajectory | None = None, b: Trajectory | None = None) -> Any:
-        """Return a Matplotlib figure: the deviations; with both trajectories what they show.
+        """Return a Matplotlib figure of the standard deviations, and of both trajectories if given.
 
         Needs the extra ``plot``. Save it with ``figure.savefig``.
         """
         return _shown_by('plots').plot(self, a, b)
 
     def to_dict(self, T_a_b_true: ArrayLike | None = None) -> dict[str, Any]:
-        """Return plain data, ready for JSON or YAML; keys that do not apply are None.
+        """Return plain data for JSON or YAML; keys that do not apply are None.
 
         ``T_a_b_true`` (4, 4) fills ``e_at_m`` and ``e_aR_deg``.
         """
@@ -173,7 +171,7 @@ class CalibrationResult:
                 'rotation_xyzw': se3.rotation_to_quaternion(self.T_a_b[:3, :3]).tolist(),
                 'translation_m': self.T_a_b[:3, 3].tolist(),
                 'rotation_rpy_deg': rpy_deg.tolist(),
-                # Beside the numbers: where it is 'unobserved', they are arbitrary.
+                # The numbers of an 'unobserved' direction are arbitrary.
                 'status': dict(self.observability.status),
             },
             'std_m': None if std is None else std[:3].tolist(),
@@ -209,8 +207,8 @@ class CalibrationResult:
     def from_dict(cls, data: dict[str, Any]) -> CalibrationResult:
         """Rebuild a result from ``to_dict``.
 
-        Raises ResultError for keys that are missing, of the wrong kind, or of a newer format, and
-        for numbers that are no rotation or no covariance.
+        Raises ResultError for missing keys, wrong types, a newer format, and numbers that are no
+        rotation or no covariance.
         """
         try:
             data = {**_OLDER, **data}
@@ -243,7 +241,7 @@ class CalibrationResult:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML to ``path``, whole or not at all.
 
-        Raises ResultError; an earlier file at ``path`` is then left as it was.
+        Raises ResultError; an earlier file at ``path`` is then unchanged.
         """
         write_yaml(Path(path), self.to_dict())
 
@@ -257,17 +255,17 @@ class CalibrationResult:
         try:
             return cls.from_dict(data)
         except ResultError as error:
-            # Of several files a person must know which.
+            # With the path, because there may be several files.
             raise ResultError(f'{path}: {error}') from error
 
 
 def _shown_by(module: str) -> Any:
-    """Return a module of ``outputs``, which imports this one: loaded when somebody looks."""
+    """Return a module of ``outputs``, loaded on use, because it imports this one."""
     return import_module(f'trajectory_calibration.outputs.{module}')
 
 
 def _of_kind(kind: type[_T], value: Any) -> _T:
-    # A bool is an int to Python, and no count to anybody else.
+    # A bool is an int in Python, but no count.
     if not isinstance(value, kind) or isinstance(value, bool):
         found = f'found {value!r}, needed a value of type {kind.__name__}'
         raise ValueError(found)  # noqa: TRY004
@@ -298,7 +296,7 @@ def _findings(data: dict[str, Any]) -> tuple[Finding, ...]:
 
 def _association(data: Any) -> AssociationSummary:
     read: dict[str, Callable[[Any], Any]] = {'str': str, 'int': _count, 'float': _number}
-    # Older files were all made at the stamps of b.
+    # Older files always used the stamps of b.
     given = {'stamps_of': 'b', **data}
     return AssociationSummary(**{
         item.name: read[str(item.type)](given[item.name]) for item in fields(AssociationSummary)})
@@ -330,7 +328,7 @@ def pose_from(data: Mapping[str, Any]) -> FloatArray:
 
 def _covariance(values: Any) -> FloatArray:
     P = finite(values, (6, 6))
-    # What rounding leaves of a variance of zero, or of a symmetric sum.
+    # Rounding of a zero variance, or of a symmetric sum.
     rounding = 1e-9 * np.abs(P).max()
     if (np.diagonal(P) < -rounding).any():
         raise ResultError('covariance has a negative variance; restore the file as it was saved')

@@ -228,7 +228,7 @@ def test_other_settings_and_other_inputs_are_calibrated_again(drives, tmp_path):
 
 
 def test_a_process_that_was_killed_is_one_line():
-    with pytest.raises(CalibrationError, match='a process that calibrates was ended from outside'):
+    with pytest.raises(CalibrationError, match='a process was killed'):
         list(Executor(processes=2).unordered(os._exit, [1, 1]))
     # The next one has processes of its own.
     assert sorted(Executor(processes=2).unordered(abs, [-1, -2])) == [(0, 1), (1, 2)]
