@@ -144,7 +144,7 @@ class CalibrationResult:
         return str(_shown_by('report').render_box(self))
 
     def plot(self, a: Trajectory | None = None, b: Trajectory | None = None) -> Any:
-        """Return a Matplotlib figure of the standard deviations, and of both trajectories if given.
+        """Return a Matplotlib figure: standard deviations, and both trajectories if given.
 
         Needs the extra ``plot``. Save it with ``figure.savefig``.
         """
