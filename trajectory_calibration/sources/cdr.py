@@ -111,7 +111,7 @@ def parse_poses(
 
 def parse_path(message: bytes, *, ros1: bool = False) -> Poses | None:
     """Return the poses of a Path, in the frame of its header; None where it is damaged."""
-    stamps_ns, poses = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 7))]
+    parts = [(np.zeros(0, dtype=np.int64), np.zeros((0, 7)))]
     try:
         fields = _Fields(message, ros1=ros1)
         _, frame = fields.header()
@@ -128,15 +128,13 @@ def parse_path(message: bytes, *, ros1: bool = False) -> Poses | None:
             equal = 1 if size % 8 and not ros1 else len(same) if same.all() else int(same.argmin())
             fields.offset = start + equal * size
             left -= equal
-            stamps, numbers = _values(rows[:equal], fields.places[-1], fields.order, start)
-            stamps_ns.append(stamps)
-            poses.append(numbers)
+            parts.append(_values(rows[:equal], fields.places[-1], fields.order, start))
     except (struct.error, ValueError):
         return None
     if not fields.ended:
         return None
-    joined = np.concatenate(stamps_ns)
-    return Poses((frame, ''), np.zeros(len(joined), np.intp), joined, np.concatenate(poses))
+    stamps_ns, poses = map(np.concatenate, zip(*parts, strict=True))
+    return Poses((frame, ''), np.zeros(len(stamps_ns), np.intp), stamps_ns, poses)
 
 
 def _groups(
@@ -169,12 +167,14 @@ def _values(
     rows: NDArray[np.uint8], place: _Place, order: str, start: int = 0,
 ) -> tuple[NDArray[np.int64], FloatArray]:
     """Return (N,) stamps and (N, 7) poses at one place of (N, L) bytes, which begin at a byte."""
-    stamp, pose = place.stamp - start, place.pose - start
-    time = np.ascontiguousarray(rows[:, stamp:stamp + 8])
-    sec = time.view(f'{order}i4')[:, 0].astype(np.int64)
-    poses = np.ascontiguousarray(rows[:, pose:pose + _POSE_BYTES])
-    return (sec * 1_000_000_000 + time.view(f'{order}u4')[:, 1],
-            poses.view(f'{order}f8').astype(np.float64))
+    kind = np.dtype({
+        'names': ('sec', 'nanosec', 'pose'),
+        'formats': (f'{order}i4', f'{order}u4', f'{order}7f8'),
+        'offsets': (place.stamp - start, place.stamp + 4 - start, place.pose - start),
+        'itemsize': rows.shape[1]})
+    fields = rows.view(kind)[:, 0]
+    return (fields['sec'].astype(np.int64) * 1_000_000_000 + fields['nanosec'],
+            fields['pose'].astype(np.float64))
 
 
 def _walked(message: bytes, msgtype: str, *, ros1: bool = False) -> _Fields | None:
