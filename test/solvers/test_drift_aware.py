@@ -3,7 +3,7 @@
 """The drift-aware solver as a whole: laws, noise identified, honest covariance, real data."""
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from motion_data import random_pose
 import numpy as np
@@ -408,7 +408,8 @@ def test_the_answer_has_settled(noise, poses):
 def test_a_fit_that_did_not_settle_says_so(monkeypatch):
     pairs, _ = simulated(14, poses=600, white=(0.01, 0.005), walk=(0.01, 0.002))
     assert solve_pairs(pairs, FIXED).findings == ()
-    monkeypatch.setattr('trajectory_calibration.solvers.drift_aware.fit._MOST_ROUNDS', 1)
+    monkeypatch.setattr('trajectory_calibration.solvers.drift_aware.solver.fit',
+                        partial(fit, most_rounds=1))
     (finding,) = solve_pairs(pairs, FIXED).findings
     assert finding.code == 'not-converged'
     assert 'the solver did not converge in 1 iteration: the last step was' in finding.text

@@ -19,31 +19,24 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.assessment.motion_equations import (
+    ENOUGH,
     motions_over,
     MotionVectors,
     student_weights,
 )
+from trajectory_calibration.assessment.orientation_checks import LEAST_STEPS
 from trajectory_calibration.assessment.steadiness import unsteady
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.data.trajectory import ROUNDING_TOLERANCE
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# One orientation: number of motions, rounding of a file (radians), a real difference (metres).
-_STEPS, _FEWEST_STEPS, _DIGITS, _APART_M = 2000, 20, 1e-7, 1e-5
-# A steady drift explains the differences if less than this share of them remains.
-_NO_DRIFT = 0.3
-# The rotation of a step must exceed the rounding by this factor.
-_LEAST_ROTATION = 100.0
-
-# Two worlds: the lag, seconds. Over shorter lags, filters of a SLAM look like a rotation.
-_LAG_S, _MOTIONS, _FEWEST = 8.0, 800, 40
-_PARTS, _ROUNDS = 12, 10
-# Largest step (radians), and the share of information below which a direction is not estimated.
-_STEP, _UNSEEN = 0.5, 1e-8
+# Parts of the drive with independent errors.
+_PARTS = 12
 # The angle between both solutions must exceed this angle and this many standard deviations. Both
 # sensors must share this part of the rotations that determine it: on flat ground, pitch and roll
 # are noise. On 20 real pairs the angle is up to 3 deg and, beyond 1 deg, 4 standard deviations.
@@ -72,20 +65,22 @@ def one_orientation(
     ``pairs`` have the scale of b corrected. Jumps and a steady drift alone give no finding:
     simulated trajectories may have no other errors.
     """
-    motions = select_motions(pairs, 'B1', _STEPS)
-    if len(motions) < _FEWEST_STEPS:
+    motions = select_motions(pairs, 'B1', ENOUGH)
+    if len(motions) < LEAST_STEPS:
         return ()
     vectors = MotionVectors.by(motions.A, motions.B)
     rotation_residuals, residuals = vectors.residuals(T_a_b)
     residual_angle, angle = (float(np.median(np.linalg.norm(phi, axis=1)))
                              for phi in (rotation_residuals, vectors.phi_a))
-    if residual_angle > _DIGITS or angle < _LEAST_ROTATION * _DIGITS:
+    # The first is rounding of a file (radians); the rotations must exceed it by far.
+    if residual_angle > 1e-7 or angle < ROUNDING_TOLERANCE:
         return ()
     length = np.linalg.norm(vectors.t_b, axis=1)[:, None]
     drift = np.median(residuals / np.maximum(length, np.finfo(float).tiny), axis=0)
     without_drift, distance = (float(np.median(np.linalg.norm(values, axis=1)))
                                for values in (residuals - drift * length, residuals))
-    if without_drift < max(_APART_M, _NO_DRIFT * distance):
+    # A steady drift explains the differences if less than this share of them remains.
+    if without_drift < max(ROUNDING_TOLERANCE, 0.3 * distance):
         return ()
     return (Finding(
         'orientations-identical',
@@ -102,7 +97,8 @@ def two_worlds(
 
     ``pairs`` have the scale of b corrected.
     """
-    motions = motions_over(pairs, _LAG_S, fewest=_FEWEST, at_most=_MOTIONS)
+    # Over shorter lags, filters of a SLAM look like a rotation.
+    motions = motions_over(pairs, 8.0, fewest=40)
     if motions is None:
         return ()
     vectors = MotionVectors.by(motions.A, motions.B)
@@ -136,20 +132,20 @@ def _rotation(
     count = len(vectors.phi_a)
     parts = np.arange(count) * _PARTS // count
     covariance = np.zeros((3, 3))
-    for _ in range(_ROUNDS):
+    for _ in range(10):
         residuals = vectors.residuals(T_a_b, scale)[by_translation]
         J = vectors.jacobians(T_a_b, scale)[by_translation][:, :, :7 if by_translation else 3]
         weighted = student_weights(residuals)[:, None, None] * J
         H = np.einsum('kij,kil->jl', weighted, J)
         unit = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-        P = np.linalg.pinv(H / np.outer(unit, unit), rcond=_UNSEEN, hermitian=True) / np.outer(
+        P = np.linalg.pinv(H / np.outer(unit, unit), rcond=1e-8, hermitian=True) / np.outer(
             unit, unit)
         g = np.zeros((_PARTS, len(P)))
         np.add.at(g, parts, np.einsum('kij,ki->kj', weighted, residuals))
         inflation = max(1.0, float(np.trace(P @ (g.T @ g))) / len(P))
         covariance = P[:3, :3] * inflation
         step = P @ g.sum(axis=0)
-        step[:3] *= min(1.0, _STEP / max(float(np.linalg.norm(step[:3])), 1e-9))
+        step[:3] *= min(1.0, 0.5 / max(float(np.linalg.norm(step[:3])), 1e-9))
         T_a_b[:3, :3] = se3.exp_so3(step[:3]) @ T_a_b[:3, :3]
         if by_translation:
             T_a_b[:3, 3] += step[3:6]

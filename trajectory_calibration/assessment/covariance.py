@@ -35,8 +35,8 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import noise_identifier
 from trajectory_calibration.solvers.solution import Diagnosis, Linearise, Solution, UNOBSERVED_STD
 
-# Number of poses that is enough to identify the noise.
-_ENOUGH = 10_000
+# Number of poses that is enough to identify the noise, and of motions to compare references.
+ENOUGH = 10_000
 
 # Errors that the noise identifier corrects and the paper's solvers cannot, by finding code.
 _TERMS = {'scale': 'a difference in scale', 'scale-unit': 'another unit of length',
@@ -75,7 +75,7 @@ def most_likely(pairs: PosePairs, config: CalibrationConfig) -> MostLikely:
 
     Raises MotionError and SolverError as that solver: too few poses, no motion.
     """
-    motions = select_motions(pairs.thinned(-(-len(pairs) // _ENOUGH)), 'B1')
+    motions = select_motions(pairs.thinned(-(-len(pairs) // ENOUGH)), 'B1')
     solution = noise_identifier().load()(motions, config)
     return MostLikely(solution.T_a_b, estimate_uncertainty(solution, motions, config).covariance,
                       solution.findings, solution.diagnosis)
@@ -132,12 +132,12 @@ def _from_residuals(
 
     The sandwich estimate, corrected for the degrees of freedom.
     """
-    motions = motions.thinned(_ENOUGH)
+    motions = motions.thinned(ENOUGH)
     found = linearise(T_a_b, motions.A, T_a_b @ motions.B @ se3.inverse(T_a_b))
     Z = found.instrument @ basis
     bread = np.einsum('kri,krj->ij', Z, found.jacobian @ basis)
     scores = np.einsum('kri,kr->ki', Z, found.residual)
-    inverse = basis @ np.linalg.pinv(bread, rcond=1e-12)
+    inverse = basis @ np.linalg.pinv(bread, rcond=se3.ROUNDING)
     equations = 6 * len(motions)
     share = equations / max(equations - basis.shape[1], 1)
     covariance: FloatArray = share * inverse @ (scores.T @ scores) @ inverse.T

@@ -29,25 +29,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear
 from trajectory_calibration.solvers.solution import Linearise, UNOBSERVED_STD
 
-# Length of a block of correlated motions: lags of the reference, and at most a share of all.
-_BLOCK_LAGS = 3
-_BLOCK_SHARE = 0.2
-
-# Rounding, relative to the largest eigenvalue of a sum of squares.
-_UNSEEN = 1e-12
-
-# Directions with a smaller share of common excitation are tested against noise.
-_SUSPECT_SHARE = 0.5
-
-# Excitation is significant beyond this many standard deviations of noise: a tenth of the
-# false-alarm probability, because rotation noise makes a wrong answer look certain.
-_SIGNIFICANT = float(np.sqrt(chi_squared.quantile(1, 0.1 * chi_squared.FALSE_ALARM)))
-
-# A residual beyond this many medians is an outlier.
-_GLITCH = 20.0
-
-# Lags, seconds, for solvers without a reference, and the number of motions that is enough.
-_LAGS = (0.5, 2.0, 8.0)
+# Number of motions that is enough.
 _MOTIONS = 4000
 
 
@@ -64,11 +46,14 @@ class Excited:
 
 
 def block_length(motions: MotionPairs) -> int:
-    """Return the number of consecutive motions that are treated as correlated."""
+    """Return the number of consecutive motions that are treated as correlated.
+
+    Three lags of the reference, at most a fifth of all.
+    """
     count = len(motions)
-    end = motions.j[0] + _BLOCK_LAGS * parse_reference(motions.reference)[1]
+    end = motions.j[0] + 3 * parse_reference(motions.reference)[1]
     lags = int(np.searchsorted(motions.j, end))
-    return max(1, min(max(lags, round(2 * count**(1 / 3))), int(_BLOCK_SHARE * count)))
+    return max(1, min(max(lags, round(2 * count**(1 / 3))), count // 5))
 
 
 def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -> Excited:
@@ -82,16 +67,19 @@ def _split(shared: FloatArray, own: FloatArray, apart: FloatArray, block: int) -
     largest = np.diagonal(own).reshape(2, 3).max(axis=1)
     scale = np.repeat(np.sqrt(np.maximum(largest, np.finfo(float).tiny)), 3)
     eigenvalues, vectors = np.linalg.eigh(own / np.outer(scale, scale))
-    seen = eigenvalues > _UNSEEN * eigenvalues[-1]
+    seen = eigenvalues > se3.ROUNDING * eigenvalues[-1]
     unseen = vectors[:, ~seen] / scale[:, None]
     basis = vectors[:, seen] / np.sqrt(eigenvalues[seen]) / scale[:, None]
     share, rotation = np.linalg.eigh(basis.T @ shared @ basis)
     basis = basis @ rotation
-    excited = share > _SUSPECT_SHARE
+    # What is mostly common is no noise.
+    excited = share > 0.5
     suspects = np.flatnonzero(~excited)
     if len(suspects):
         noise = _excitation_by_noise(apart @ basis[:, suspects], block)
-        excited[suspects] = share[suspects] > _SIGNIFICANT * noise
+        # A tenth of the false-alarm probability: noise makes a wrong answer look certain.
+        limit = chi_squared.quantile(1, 0.1 * chi_squared.FALSE_ALARM)
+        excited[suspects] = share[suspects] > np.sqrt(limit) * noise
     directions = np.concatenate([basis[:, ~excited], unseen], axis=1).T
     return Excited(basis[:, excited], scaled_to_unobserved(directions))
 
@@ -111,21 +99,21 @@ def split_pairs(T_a_b: FloatArray, pairs: PosePairs) -> Excited:
     The lag with the most excited directions counts: at short lags noise hides the motion.
     """
     found = []
-    for lag in lag_grid(pairs.stamps_ns, _LAGS):
+    for lag in lag_grid(pairs.stamps_ns, (0.5, 2.0, 8.0)):
         motions = _plausible(T_a_b, select_motions(pairs, f'B{lag}', _MOTIONS))
         found.append(split_equations(T_a_b, motions, linear.frobenius))
     return min(found, key=lambda excited: len(excited.unobserved))
 
 
 def _plausible(T_a_b: FloatArray, motions: MotionPairs) -> MotionPairs:
-    """Exclude motions with outlying residuals.
+    """Exclude motions with residuals beyond 20 medians.
 
     A single position kilometres away would count as noise that hides all excitation.
     """
     parted = np.linalg.norm(
         (motions.A @ T_a_b)[:, :3, 3] - (T_a_b @ motions.B)[:, :3, 3], axis=1)
     reach = float(np.linalg.norm(motions.A[:, :3, 3], axis=1).max(initial=0.0))
-    return motions.picked(parted <= _GLITCH * float(np.median(parted)) + _UNSEEN * reach)
+    return motions.picked(parted <= 20 * float(np.median(parted)) + se3.ROUNDING * reach)
 
 
 def split_equations(

@@ -17,14 +17,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Motions that start within one lag.
-_OVERLAPPING = 4
-# Motions that last longer than this many medians span gaps.
-_LONG = 2.5
-# Larger rotations (radians) are excluded: the axis of a rotation by 180 deg has no sign.
-LARGEST_ROTATION = 2.6
-# Degrees of freedom of Student's distribution, and the median of chi-squared of three.
-_FREEDOM, _MEDIAN = 4.0, quantile(3, 0.5)
+# Number of motions that is enough for a check.
+ENOUGH = 2000
 
 
 class MotionVectors(NamedTuple):
@@ -61,26 +55,29 @@ class MotionVectors(NamedTuple):
 
 
 def motions_over(
-    pairs: PosePairs, lag_s: float, *, fewest: int, at_most: int,
+    pairs: PosePairs, lag_s: float, *, fewest: int,
 ) -> MotionPairs | None:
-    """Return at most ``at_most`` motions over ``lag_s``, without gaps and half turns.
+    """Return at most ``ENOUGH`` motions over ``lag_s``, without gaps and half turns.
 
     None if there are fewer than ``fewest``.
     """
     (lag,) = lag_grid(pairs.stamps_ns, (lag_s,), 1.0)
-    count = min(at_most, _OVERLAPPING * len(pairs) // lag)
+    # Four start within one lag: more would share most of their noise.
+    count = min(ENOUGH, 4 * len(pairs) // lag)
     if count < fewest:
         return None
     motions = select_motions(pairs, f'B{lag}', count)
     time_ns = pairs.stamps_ns[motions.j] - pairs.stamps_ns[motions.i]
     turn = np.maximum(*(se3.rotation_angle(poses[:, :3, :3]) for poses in (motions.A, motions.B)))
-    motions = motions.picked((time_ns < _LONG * np.median(time_ns)) & (turn < LARGEST_ROTATION))
+    # Motions that last much longer than the median span gaps.
+    motions = motions.picked(
+        (time_ns < 2.5 * np.median(time_ns)) & (turn < se3.LARGEST_ROTATION))
     return None if len(motions) < fewest else motions
 
 
 def student_weights(residuals: FloatArray) -> FloatArray:
-    """Return the (K,) weights (inverse variances) of (K, 3) residuals with Student's t."""
+    """Return the (K,) weights (inverse variances) of (K, 3) residuals by Student's t_4."""
     square = np.sum(residuals**2, axis=1)
-    variance = max(float(np.median(square)) / _MEDIAN, np.finfo(float).tiny)
-    weights: FloatArray = (_FREEDOM + 3) / (_FREEDOM + square / variance) / variance
+    variance = max(float(np.median(square)) / quantile(3, 0.5), np.finfo(float).tiny)
+    weights: FloatArray = (4 + 3) / (4 + square / variance) / variance
     return weights

@@ -27,27 +27,14 @@ DEGREES_OF_FREEDOM = ('x', 'y', 'z', 'rotation x', 'rotation y', 'rotation z')
 
 OBSERVED, WEAK, UNOBSERVED, PRIOR = 'observed', 'weak', 'unobserved', 'prior'
 
-# A value comes from the prior if the prior reduces its variance below this share.
-_DOMINATED = 0.5
-
 # Within this angle of an axis, a direction is called by the name of the axis.
 _NEAR_AXIS = np.cos(np.deg2rad(18.0))
-
-# The motion is about a single axis if the rotation about any other axis that both sensors measured
-# is below this share of it, root mean square.
-_SINGLE = 0.2
-
-# A rotation with this standard deviation (degrees) about every axis is not known at all.
-_LOST = 10.0
 
 # How to improve a weak direction.
 _MORE = {'translation': 'Drive tighter curves, steeper ramps, or longer',
          'rotation': 'Drive more curves, ramps and banks, or longer'}
 
 _UNITS = {'translation': 'm', 'rotation': 'deg'}
-
-# Root mean square rotation, degrees, below which the vehicle hardly turned.
-_HARDLY = 0.2
 
 
 @dataclass(frozen=True)
@@ -98,8 +85,8 @@ class Observability:
 
     @property
     def hardly_turned(self) -> bool:
-        """Return whether the rotations are no larger than noise."""
-        return bool(np.linalg.norm(self.excitation_deg) < _HARDLY)
+        """Return whether the rotations are no larger than noise, 0.2 deg root mean square."""
+        return bool(np.linalg.norm(self.excitation_deg) < 0.2)
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -183,8 +170,7 @@ def require_motion_beyond_noise(
     """
     # By eigenvectors: one unobserved direction oblique to all axes would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
-    best = {item.kind: item.std for item in blind}
-    if len(blind) < len(DEGREES_OF_FREEDOM) or best['rotation'] < _LOST:
+    if len(blind) < len(DEGREES_OF_FREEDOM):
         return
     if len(split_pairs(T_a_b, pairs).unobserved) == len(DEGREES_OF_FREEDOM):
         raise MotionError(
@@ -214,12 +200,15 @@ def axis_name(axis: FloatArray) -> str:
 
 
 def _single_axis(motions: MotionPairs) -> tuple[float, ...]:
-    """Return the axis in a of all rotations that both sensors measured, if there is only one."""
+    """Return the axis in a of all rotations that both sensors measured, if there is only one.
+
+    The rotation about any other axis is then below a fifth of it, root mean square.
+    """
     turn_a, turn_b = (se3.log_so3(moved[:, :3, :3]) for moved in (motions.A, motions.B))
     shared = turn_a.T @ turn_b
     # In the axes of a the product is symmetric.
     squares, axes = np.linalg.eigh(shared @ se3.nearest_rotation(shared).T)
-    return tuple(_pointed(axes.T)[2].tolist()) if squares[1] <= _SINGLE**2 * squares[2] else ()
+    return tuple(_pointed(axes.T)[2].tolist()) if squares[1] <= 0.2**2 * squares[2] else ()
 
 
 def limits_of(config: CalibrationConfig) -> FloatArray:
@@ -260,10 +249,11 @@ def _status(
     status = {}
     for k, name in enumerate(DEGREES_OF_FREEDOM):
         status[name] = status_of(config, after[k], rotation=k >= 3)
-        # A prior of one component improves others through their correlation. These come from the
-        # prior only if the motion alone did not determine them.
+        # A value comes from the prior if the prior halves its variance. A prior of one component
+        # improves others through their correlation: these do so only if the motion alone did not
+        # determine them.
         doubtful = given[k] or status_of(config, before[k], rotation=k >= 3) != OBSERVED
-        dominated = after[k]**2 < _DOMINATED * before[k]**2
+        dominated = after[k]**2 < 0.5 * before[k]**2
         if dominated and doubtful and status[name] != UNOBSERVED:
             status[name] = PRIOR
     return status

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.time_alignment.clock_drift import (
     fit_offsets,
     half_width_ns,
@@ -32,12 +33,13 @@ class Steadiness(NamedTuple):
     Attributes
     ----------
     scatter_s : root mean square deviation from a straight line over the parts, seconds.
-    chi_squared : the same per degree of freedom, relative to the variances; one if it is steady.
+    unsteady : whether that is no chance: beyond the quantile of chi-squared at the one false-alarm
+        probability.
 
     """
 
     scatter_s: float
-    chi_squared: float
+    unsteady: bool
 
 
 def offset_steadiness(a: Trajectory, b: Trajectory, clock: ClockCorrection) -> Steadiness | None:
@@ -65,4 +67,5 @@ def offset_steadiness(a: Trajectory, b: Trajectory, clock: ClockCorrection) -> S
     line = np.polyfit(middle, shifts, 1, w=np.sqrt(weights))
     left = shifts - np.polyval(line, middle)
     squares = float(np.sum(weights * left**2))
-    return Steadiness(np.sqrt(squares / float(np.sum(weights))), squares / (len(middle) - 2))
+    return Steadiness(np.sqrt(squares / float(np.sum(weights))),
+                      squares > quantile(len(middle) - 2))

@@ -12,37 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from trajectory_calibration.data.findings import Finding
-from trajectory_calibration.data.trajectory import Trajectory
+from trajectory_calibration.data.trajectory import ROUNDING_TOLERANCE, Trajectory
 from trajectory_calibration.errors import MotionError, rounded
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Rounding of an orientation in a file, radians.
-_DIGITS = 1e-5
-
-# Course over ground: poses used; shortest step in terms of the median; fewest steps.
-_COURSE_POSES = 5_000
-_LONG_STEP = 0.3
-_LEAST_STEPS = 20
-# A yaw computed from the positions deviates from the course by less than this share of its noise.
-_COPIED = 0.02
-# The lever arm of a course is zero within this distance (m) and this many standard deviations.
-_NO_LEVER, _SIGMA = 0.05, 3.0
-# Steps before and after, between which the course is taken for the lever arm.
-_SPAN = (2, 2)
-
-# Inverted poses: lag in nanoseconds, number of motions, iterations of reweighting.
-_INVERSION_LAG_NS = 200_000_000
-_MOTIONS = 400
-_ROUNDS = 4
-# Quaternion order: lag in nanoseconds, and the share of the motion along one body axis from which
-# an order is right, and below which it is wrong.
-_LAG_NS = 500_000_000
-_RIGHT, _WRONG = 0.97, 0.85
-# Rounding, metres.
-_ROUNDING = 1e-12
-# Share of the steps that may be jumps.
-_JUMPS = 0.02
+# Number of steps that is enough for a check.
+LEAST_STEPS = 20
 
 
 def require_orientation(trajectory: Trajectory) -> None:
@@ -53,7 +29,7 @@ def require_orientation(trajectory: Trajectory) -> None:
         return
     rotated = np.swapaxes(trajectory.rotations[:1], 1, 2) @ trajectory.rotations
     # The trace is 3 - angle^2: rounding of 1e-16 is an angle of 1e-8.
-    if 3.0 - float(np.trace(rotated, axis1=1, axis2=2).min()) < _DIGITS**2:
+    if 3.0 - float(np.trace(rotated, axis1=1, axis2=2).min()) < ROUNDING_TOLERANCE**2:
         raise MotionError(
             f'{name}: the orientation never changes over {rounded(way.sum(), 3)} m driven: '
             'positions alone (GNSS without an INS?) cannot be calibrated. Give poses whose '
@@ -71,10 +47,10 @@ def _is_course(trajectory: Trajectory) -> bool:
     follows their errors. Computed from velocities it has no roll and pitch although the height
     changes, and no lever arm in curves; a measured yaw has.
     """
-    count = min(len(trajectory), _COURSE_POSES)
+    count = min(len(trajectory), 5_000)
     turns = trajectory.turns[:count - 1]
     sizes, axes = np.linalg.eigh(turns.T @ turns)
-    if count < _LEAST_STEPS or sizes[1] > _DIGITS**2 * count:
+    if count < LEAST_STEPS or sizes[1] > ROUNDING_TOLERANCE**2 * count:
         return False
     axis = trajectory.rotations[0] @ axes[:, 2]
     across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -82,10 +58,10 @@ def _is_course(trajectory: Trajectory) -> bool:
     yaw = np.concatenate([[0.0], np.cumsum(turns @ axes[:, 2])])
     moved = trajectory.positions[:count] - trajectory.positions[0]
     position = moved @ np.stack([across, np.cross(axis, across)]).T
-    height_varies = float(np.std(np.diff(moved @ axis))) > _DIGITS
+    height_varies = float(np.std(np.diff(moved @ axis))) > ROUNDING_TOLERANCE
     return any(
-        _is_course_over(position, sign * yaw, *steps, no_lever=height_varies and steps == _SPAN)
-        for steps in ((0, 1), (1, 0), (1, 1), _SPAN) for sign in (1.0, -1.0))
+        _is_course_over(position, sign * yaw, *steps, no_lever=height_varies and steps == (2, 2))
+        for steps in ((0, 1), (1, 0), (1, 1), (2, 2)) for sign in (1.0, -1.0))
 
 
 def _is_course_over(
@@ -101,9 +77,9 @@ def _is_course_over(
     length = np.linalg.norm(step, axis=1)
     course = np.arctan2(step[:, 1], step[:, 0])
     # A stationary vehicle has no course; the second difference needs three of them.
-    long_ = length > _LONG_STEP * np.median(length)
+    long_ = length > 0.3 * np.median(length)
     inner = long_[:-2] & long_[1:-1] & long_[2:]
-    if inner.sum() < _LEAST_STEPS:
+    if inner.sum() < LEAST_STEPS:
         return False
     difference = _wrapped(course - yaw[k])
     # The origin of the yaw is arbitrary.
@@ -113,7 +89,8 @@ def _is_course_over(
     # Position errors make successive second differences of opposite sign. Without such errors the
     # course follows the road, and a vehicle without slip really has this yaw.
     alternating = float(second[:-1] @ second[1:]) < 0
-    if alternating and noise > _DIGITS and np.median(np.abs(difference[long_])) < _COPIED * noise:
+    residual = float(np.median(np.abs(difference[long_])))
+    if alternating and noise > ROUNDING_TOLERANCE and residual < 0.02 * noise:
         return True
     if not no_lever:
         return False
@@ -125,7 +102,8 @@ def _is_course_over(
     residuals = difference[long_] - columns @ [offset, lever]
     # Position errors are correlated over overlapping steps.
     std = np.sqrt(np.diag(P) * 2 * (before + after) * float(np.mean(residuals**2)))
-    return bool(abs(lever) < _NO_LEVER + _SIGMA * std[1] < 4 * _NO_LEVER)
+    # Zero within 5 cm and three standard deviations, if these are small enough to tell.
+    return bool(abs(lever) < 0.05 + 3 * std[1] < 0.2)
 
 
 def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
@@ -135,15 +113,15 @@ def order_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     axes. Drones and handheld sensors move along all axes anyway, and give no question.
     """
     R = trajectory.rotations
-    every = trajectory.poses_in(_LAG_NS)
+    every = trajectory.poses_in(500_000_000)
     step = trajectory.positions[every:] - trajectory.positions[:-every]
     at = slice(every // 2, every // 2 + len(step))
-    if len(step) < _LEAST_STEPS or not step.any():
+    if len(step) < LEAST_STEPS or not step.any():
         return ()
     w_first = se3.rotation_to_quaternion(R[at])[:, [1, 2, 3, 0]]
     as_read, other = (_share_along_one_axis(rotations, step) for rotations in (
         R[at], se3.quaternion_to_rotation(w_first)))
-    if as_read > _WRONG or other < _RIGHT:
+    if as_read > 0.85 or other < 0.97:
         return ()
     return (Finding(
         'quaternion-order', f'is w first in the quaternions? Then it moves along one of its axes '
@@ -172,8 +150,8 @@ def least_steps(trajectory: Trajectory) -> tuple[float, float]:
     target rotates about the target, and both motions are small. Both are zero if there are too few
     poses.
     """
-    every = trajectory.poses_in(_INVERSION_LAG_NS)
-    i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // _MOTIONS))
+    every = trajectory.poses_in(200_000_000)
+    i = np.arange(0, len(trajectory) - every, max(1, len(trajectory) // 400))
     if len(i) < 10:
         return 0.0, 0.0
     poses = trajectory.poses[np.stack([i, i + every])]
@@ -187,12 +165,12 @@ def _least_step(here: FloatArray, there: FloatArray) -> float:
     turn, step = (there - here)[:, :3, :3], (there - here)[:, :3, 3]
     weights = np.ones(len(step))
     squares = weights
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         weighted = weights[:, None, None] * turn
         H = np.einsum('kij,kil->jl', weighted, turn)
-        point = -np.linalg.pinv(H, rcond=1e-12, hermitian=True) @ np.einsum(
+        point = -np.linalg.pinv(H, rcond=se3.ROUNDING, hermitian=True) @ np.einsum(
             'kij,ki->j', weighted, step)
         squares = np.sum((step + turn @ point)**2, axis=1)
-        weights = 1 / (squares + squares.mean() + _ROUNDING**2)
+        weights = 1 / (squares + squares.mean() + se3.ROUNDING**2)
     # Without the largest steps, which may be jumps.
-    return float(np.sqrt(np.mean(np.sort(squares)[:-max(1, round(_JUMPS * len(squares)))])))
+    return float(np.sqrt(np.mean(np.sort(squares)[:-max(1, round(0.02 * len(squares)))])))

@@ -17,19 +17,6 @@ from trajectory_calibration.solvers import DEFAULT_SOLVER
 # larger standard deviation is unobserved: the rotation about it is arbitrary.
 _LARGEST_ROTATION_DEG = 15.0
 
-# A rotation is about unobserved axes if more than this share of it is.
-_MOSTLY = 0.7
-
-# Displacement, metres, that may come with a rotation about an unobserved axis.
-_NO_DISPLACEMENT = 1e-6
-
-# Angles about a single unobserved axis that are tried, and iterations that refine the best one.
-_ANGLES = 72
-_MAX_REFINEMENTS = 50
-
-_MAX_UPDATES = 20
-_SETTLED = 1e-13
-
 
 def apply_prior(
     T_a_b: FloatArray, covariance: FloatArray, prior: Prior,
@@ -49,7 +36,7 @@ def apply_prior(
     eigenvalues, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     step = np.zeros(6)
-    for _ in range(_MAX_UPDATES):
+    for _ in range(20):
         deviation = prior.deviation(se3.moved(T_a_b, step))
         observe = np.eye(6)
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
@@ -60,7 +47,7 @@ def apply_prior(
         # The answer of the motion alone is at -start.
         expected = (deviation[known] + observe @ (step + start)) / std
         following = root @ np.linalg.solve(triangle, Q[:len(std)].T @ expected) - start
-        settled = np.abs(following - step).max() < _SETTLED
+        settled = np.abs(following - step).max() < 1e-13
         step = following
         if settled:
             break
@@ -78,7 +65,8 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
     what, check = 'prior', (
         'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
         'shows the rotation, about two axes')
-    if np.linalg.norm(axes.T @ rotation) > _MOSTLY * np.linalg.norm(rotation):
+    # If it is mostly about unobservable axes, the prior contradicts nothing that is known.
+    if np.linalg.norm(axes.T @ rotation) > 0.7 * np.linalg.norm(rotation):
         # The translation belongs to a rotation that is arbitrary.
         check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
                  f'{DEFAULT_SOLVER}, or drive so that the motion shows the rotation, about two '
@@ -110,7 +98,7 @@ def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> F
     along = covariance[:, 3:] @ axes / variances
     step: FloatArray = along @ _angles_to_prior(T_a_b[:3, :3], axes, prior)
     shift = along[:3] * np.sqrt(variances)
-    without = covariance[:3, :3] - shift @ shift.T + _NO_DISPLACEMENT**2 * np.eye(3)
+    without = covariance[:3, :3] - shift @ shift.T + se3.ROUNDING * np.eye(3)
     if step[:3] @ np.linalg.solve(without, step[:3]) > 1:
         return np.zeros(6)
     return step
@@ -132,10 +120,10 @@ def _angles_to_prior(R_a_b: FloatArray, axes: FloatArray, prior: Prior) -> Float
         return squares
 
     # About one axis the cost may have several minima; about more, the full rotation is the start.
-    starts = (np.linspace(-np.pi, np.pi, _ANGLES, endpoint=False)[:, None] if axes.shape[1] == 1
+    starts = (np.linspace(-np.pi, np.pi, 72, endpoint=False)[:, None] if axes.shape[1] == 1
               else (se3.log_so3(prior.rotation @ R_a_b.T) @ axes)[None])
     angles: FloatArray = starts[int(np.argmin(cost(starts)))]
-    for _ in range(_MAX_REFINEMENTS):
+    for _ in range(50):
         off = deviation(angles)
         slope = (_observation(off, axes @ angles) @ axes)[known]
         # A zero slope: the prior does not depend on the angle.

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.covariance import most_likely, MostLikely
+from trajectory_calibration.assessment.covariance import ENOUGH, most_likely, MostLikely
 from trajectory_calibration.assessment.input_checks import require_fit
 from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import (
@@ -28,26 +28,6 @@ from trajectory_calibration.errors import MotionError, SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import load_solver, noise_identifier, solver_info
-
-# Distance, metres, at which rotations are converted to displacements.
-_DISTANCE = 1.0
-
-# References that are compared besides A: lags in seconds, up to this share of the recording.
-_CANDIDATES_B = (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0)
-_CANDIDATES_C = (0.5, 1.0, 2.0)
-_LARGEST_SHARE = 0.25
-
-# The lag if none can be preferred, seconds.
-_USUAL = (0.5,)
-
-# Number of poses and motions that is enough to compare references.
-_ENOUGH = 10_000
-
-# Errors below this, metres, are printed as 'below'.
-_SMALLEST = 1e-4
-
-# Number of other candidates in the explanation.
-_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -64,7 +44,7 @@ class ReferenceChoice:
 
 def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceChoice:
     """Return the configured reference, or for ``auto`` that of the least expected error."""
-    (lag,) = lag_grid(pairs.stamps_ns, _USUAL, largest_share=1.0)
+    (lag,) = lag_grid(pairs.stamps_ns, (0.5,), largest_share=1.0)
     usual = f'B{max(1, min(lag, (len(pairs) - 1) // 2))}'
     needed = solver_info(config.solver).needs_reference
     if config.reference != AUTOMATIC:
@@ -89,7 +69,7 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
     directions, variance = _observed(known, config)
     expected: dict[str, float] = {}
     for reference in _candidates(pairs):
-        motions = select_motions(pairs, reference, _ENOUGH)
+        motions = select_motions(pairs, reference, ENOUGH)
         try:
             found = load_solver(config.solver)(motions, config).T_a_b
         except (MotionError, SolverError):
@@ -104,9 +84,9 @@ def choose_reference(pairs: PosePairs, config: CalibrationConfig) -> ReferenceCh
 
 
 def _candidates(pairs: PosePairs) -> list[str]:
-    """Return 'A', 'B1', ..., 'C5', ..."""
-    lags_b, lags_c = (lag_grid(pairs.stamps_ns, seconds, _LARGEST_SHARE)
-                      for seconds in (_CANDIDATES_B, _CANDIDATES_C))
+    """Return 'A', 'B1', ..., 'C5', ...: lags of at most a quarter of the recording."""
+    lags_b, lags_c = (lag_grid(pairs.stamps_ns, seconds, 0.25) for seconds in (
+        (0.1, 0.2, 0.3, 0.5, 0.8, 1.2, 2.0, 3.0, 5.0, 8.0), (0.5, 1.0, 2.0)))
     return ['A', *(f'B{lag}' for lag in lags_b), *(f'C{lag}' for lag in lags_c if lag > 1)]
 
 
@@ -115,17 +95,17 @@ def _observed(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray,
 
     A direction times a step (dt, dtheta) is a displacement in metres.
     """
-    unit = np.repeat([1.0, _DISTANCE], 3)
-    variances, axes = np.linalg.eigh(known.covariance * np.outer(unit, unit))
+    # Radians count as metres: rotations displace a point at the distance of a metre.
+    variances, axes = np.linalg.eigh(known.covariance)
     # Along unobserved directions no answer is better than another.
     seen = variances < config.unobserved_translation**2
     # Rounding may make a variance negative.
-    return axes[:, seen].T * unit, float(np.maximum(variances[seen], 0.0).sum())
+    return axes[:, seen].T, float(np.maximum(variances[seen], 0.0).sum())
 
 
 def _explanation(best: str, expected: dict[str, float]) -> str:
     others = [name for name in expected if name != best]
-    named = others[::max(1, -(-len(others) // _NAMED))]
+    named = others[::max(1, -(-len(others) // 3))]
     text = f'{best}: predicted error {_length(expected[best])}'
     if named:
         text += '; of others: ' + ', '.join(f'{name} {_length(expected[name])}' for name in named)
@@ -133,6 +113,6 @@ def _explanation(best: str, expected: dict[str, float]) -> str:
 
 
 def _length(metres: float) -> str:
-    if metres < _SMALLEST:
-        return f'below {100 * _SMALLEST:g} cm'
+    if metres < 1e-4:
+        return 'below 0.01 cm'
     return f'{100 * metres:.2g} cm' if metres < 1 else f'{metres:.3g} m'

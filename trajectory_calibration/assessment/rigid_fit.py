@@ -14,29 +14,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from trajectory_calibration.assessment.motion_equations import LARGEST_ROTATION, MotionVectors
+from trajectory_calibration.assessment.motion_equations import MotionVectors
 from trajectory_calibration.data.motion_pairs import lag_grid
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Lags, seconds; those first over which most recordings fit.
+# Lags, seconds; those first over which most recordings fit. Beyond the first of them two sensors
+# fit even with clocks seconds apart. Residuals at shorter lags must then be errors: they must not
+# grow faster with the lag than independent errors by this factor.
 LAGS_S = (2.0, 0.5, 0.2, 0.1, 8.0, 32.0)
-# Beyond this lag two sensors fit even with clocks seconds apart. Residuals at shorter lags must
-# then be errors: they must not grow faster with the lag than independent errors by this factor.
-_SHORT_S = 2.0
 NOT_BY_NOISE = 1.5
-# Longest lag as a share of the poses; number of motions that are enough; fewest motions.
-_LONGEST_SHARE = 0.25
-_MOTIONS, _LEAST_MOTIONS = 300, 5
-# Iterations, and the first of them, which estimate the rotation separately.
-_ROUNDS, _ALONE = 8, 2
 
 # Rounding, squared metres or radians.
 _TINY = 1e-24
 
 # One body: over at least one lag, the residuals are below these shares of the motion.
-_ONE_BODY = {'rotation': 0.1, 'translation': 0.2}
+ONE_BODY = {'rotation': 0.1, 'translation': 0.2}
 
 
 # A function that converts (K, 4, 4) poses to the intended ones; None: as they are.
@@ -74,8 +68,8 @@ class RigidFit:
     @property
     def misfit(self) -> float:
         """Return the larger of both shares, relative to the limits of one body."""
-        return max(self.rotation_share / _ONE_BODY['rotation'],
-                   self.translation_share / _ONE_BODY['translation'])
+        return max(self.rotation_share / ONE_BODY['rotation'],
+                   self.translation_share / ONE_BODY['translation'])
 
 
 def fits(
@@ -87,7 +81,7 @@ def fits(
     for lag_s in seconds:
         lags.setdefault(lag_grid(pairs.stamps_ns, (lag_s,), 1.0)[0], lag_s)
     for lag, lag_s in lags.items():
-        if lag <= _LONGEST_SHARE * len(pairs):
+        if lag <= len(pairs) // 4:
             found = _fit(*_motions(pairs, lag, read_a, read_b), lag, lag_s)
             if found is not None:
                 yield found
@@ -101,7 +95,7 @@ def best_fit(
     found: list[RigidFit] = []
     for fit in fits(pairs, read_a, read_b, seconds):
         found.append(fit)
-        if fit.one_body and (fit.lag_s <= _SHORT_S or max(
+        if fit.one_body and (fit.lag_s <= LAGS_S[0] or max(
                 growth(found, 'rotation'), growth(found, 'translation')) <= NOT_BY_NOISE):
             return fit
     # None of these is one body, however long the lag.
@@ -128,7 +122,7 @@ def growth(found: Sequence[RigidFit], what: str) -> float:
         likely = min((np.sqrt(item.lag / other.lag) * size
                       for other, size in zip(ascending[:k], residuals[:k], strict=True)),
                      default=0.0)
-        if likely > 0 and getattr(item, f'{what}_share') > _ONE_BODY[what]:
+        if likely > 0 and getattr(item, f'{what}_share') > ONE_BODY[what]:
             factor = max(factor, residuals[k] / likely)
     return factor
 
@@ -136,9 +130,9 @@ def growth(found: Sequence[RigidFit], what: str) -> float:
 def _motions(
     pairs: PosePairs, lag: int, read_a: Read = None, read_b: Read = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (K, 4, 4) motions of a and b over a lag, at most ``_MOTIONS`` or so."""
+    """Return (K, 4, 4) motions of a and b over a lag, at most 300."""
     count = len(pairs) - lag
-    i = np.arange(0, count, max(1, -(-count // _MOTIONS)))
+    i = np.arange(0, count, max(1, -(-count // 300)))
     found = []
     for read, poses in ((read_a, pairs.poses_a), (read_b, pairs.poses_b)):
         start, end = ((read(part) if read else part) for part in (poses[i], poses[i + lag]))
@@ -149,23 +143,24 @@ def _motions(
 def _fit(A: FloatArray, B: FloatArray, lag: int, lag_s: float) -> RigidFit | None:
     vectors = MotionVectors.by(A, B)
     angle2 = np.maximum(np.sum(vectors.phi_a**2, axis=1), np.sum(vectors.phi_b**2, axis=1))
-    usable = angle2 < LARGEST_ROTATION**2
-    if usable.sum() < _LEAST_MOTIONS:
+    usable = angle2 < se3.LARGEST_ROTATION**2
+    if usable.sum() < 5:
         return None
     vectors, angle2 = MotionVectors(*(item[usable] for item in vectors)), angle2[usable]
     length2 = np.sum(vectors.t_a**2, axis=1)
     weights = [np.full(len(size), 1 / max(float(np.mean(size)), _TINY))
                for size in (angle2, length2)]
     T_a_b, scale = np.eye(4), 1.0
-    for k in range(_ROUNDS):
-        if k < _ALONE:
+    for k in range(8):
+        alone = k < 2
+        if alone:
             # With rotations about one axis only, the translations determine the rest.
             arm = vectors.R_a_minus_I @ T_a_b[:3, 3]
             T_a_b[:3, :3] = se3.nearest_rotation(
                 _correlation(vectors.phi_a, vectors.phi_b, weights[0])
                 + _correlation(vectors.t_a + arm, vectors.t_b, weights[1]))
         # Later all unknowns together: alternating converges slowly for heading and lever arm.
-        free = slice(3, 7) if k < _ALONE else slice(0, 7)
+        free = slice(3, 7) if alone else slice(0, 7)
         H, g = np.zeros((7, 7)), np.zeros(7)
         for J, residuals, weight, size in zip(
                 vectors.jacobians(T_a_b, scale), vectors.residuals(T_a_b, scale), weights,

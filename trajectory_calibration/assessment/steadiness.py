@@ -35,29 +35,23 @@ from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import chi_squared
-from trajectory_calibration.geometry.se3 import FloatArray
+from trajectory_calibration.geometry.se3 import FloatArray, PRECISION
 
-# Seconds of a motion, and motions in all.
-_LAG_S, _MOTIONS = 2.0, 2000
-# Parts of the drive, fewest on either side of a step, and fewest motions in each.
-_PARTS, _LEAST_PARTS, _FEWEST = 24, 4, 5
-# Parts over which scores may be correlated.
-_CORRELATED_PARTS = 2
+# Parts of the drive, and the fewest on either side of a step.
+_PARTS, _LEAST_PARTS = 24, 4
 # Unknowns: the rotation and the translation of the pose, the logarithm of the scale.
 _UNKNOWNS = 7
-_KINDS = (0, 3, 6)
-_ROUNDS = 6
 # Directions with a smaller share of the information are not compared.
 _UNSEEN = 1e-6
 # A change matters from this many standard deviations of the answer, or this share of scale.
-# Changes below the last value (radians and metres) are rounding.
-_MATTERS, _SCALE, _ROUNDING = 2.0, 0.02, 1e-6
+_MATTERS, _SCALE = 2.0, 0.02
 
 _PART = np.arange(_PARTS)
 _STEPS = np.arange(_LEAST_PARTS, _PARTS - _LEAST_PARTS + 1)
 # The share of a change in each part (column): steps, and in the last row the linear change.
 _PROFILES = np.vstack([_STEPS[:, None] <= _PART, (_PART + 0.5) / _PARTS])
-_KERNEL = np.maximum(1 - np.abs(_PART[:, None] - _PART) / _CORRELATED_PARTS, 0.0)
+# Scores of neighbouring parts may be correlated.
+_KERNEL = np.maximum(1 - np.abs(_PART[:, None] - _PART) / 2, 0.0)
 
 
 def unsteady(
@@ -67,12 +61,12 @@ def unsteady(
 
     ``pairs`` have the scale of b corrected; ``covariance`` is (6, 6) of the answer.
     """
-    motions = motions_over(pairs, _LAG_S, fewest=_FEWEST * _PARTS, at_most=_MOTIONS)
+    motions = motions_over(pairs, 2.0, fewest=5 * _PARTS)
     if motions is None:
         return ()
     H, g = _information(T_a_b, motions)
     information = np.diagonal(H.sum(axis=0))
-    most = np.maximum.reduceat(information, _KINDS)[[0, 0, 0, 1, 1, 1, 2]]
+    most = np.maximum.reduceat(information, (0, 3, 6))[[0, 0, 0, 1, 1, 1, 2]]
     # Unobserved directions, such as the height on flat ground, keep almost no information.
     unit = np.sqrt(np.maximum(np.where(information > _UNSEEN**2 * most, information, most),
                               np.finfo(float).tiny))
@@ -82,7 +76,7 @@ def unsteady(
     changes = [(size / unit, ratio) for size, ratio in (
         _change(H, g, along, profile) for profile in _PROFILES)]
     std = np.sqrt(np.diag(covariance))[[3, 4, 5, 0, 1, 2]]
-    least = np.append(_MATTERS * np.maximum(std, _ROUNDING), _SCALE)
+    least = np.append(_MATTERS * np.maximum(std, PRECISION), _SCALE)
     excess = [np.where(np.abs(size) > least, ratio, 0.0).max() for size, ratio in changes]
     found = int(np.argmax(excess))
     if excess[found] < 1:
@@ -113,7 +107,7 @@ def _information(T_a_b: FloatArray, motions: MotionPairs) -> tuple[FloatArray, F
     residuals = list(at_answer)
     parts = np.arange(len(motions)) * _PARTS // len(motions)
     H, g = np.zeros((_PARTS, _UNKNOWNS, _UNKNOWNS)), np.zeros((_PARTS, _UNKNOWNS))
-    for _ in range(_ROUNDS):
+    for _ in range(6):
         H[:], g[:] = 0.0, 0.0
         for J, residual, remaining in zip(jacobians, at_answer, residuals, strict=True):
             weighted = student_weights(remaining)[:, None, None] * J

@@ -29,9 +29,6 @@ ROTATION_TOLERANCE = 1e-2
 # and differences keep their digits.
 MAX_POSITION = 1e9
 
-# A step longer than this many median steps and this time is a gap.
-_GAP_STEPS, _GAP_NS = 5.0, 500_000_000
-
 # No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
 LARGEST_DRIFT = 1e-3
 
@@ -201,8 +198,8 @@ class Trajectory:
 
     @property
     def longest_step_ns(self) -> float:
-        """Return the length, nanoseconds, beyond which a step is a gap."""
-        return max(_GAP_STEPS * self.usual_step_ns, _GAP_NS)
+        """Return the length, nanoseconds, beyond which a step is a gap: five steps, and 0.5 s."""
+        return max(5 * self.usual_step_ns, 500_000_000)
 
     @cached_property
     def gaps(self) -> NDArray[np.bool_]:

@@ -26,11 +26,11 @@ FloatArray = NDArray[np.float64]
 _SMALL_ANGLE = 1e-2
 
 # Beyond this angle (radians) rotation vectors are not used: near 180 deg noise may flip the axis.
-LARGEST_TURN = 2.6
+LARGEST_ROTATION = 2.6
 
-# Rounding, relative to the largest eigenvalue of a sum of squares: files with nine digits keep a
-# tilt of 1e-6 rad.
-ROUNDING = 1e-12
+# Rounding of poses in files with nine digits, metres and radians; and its square, relative to the
+# largest eigenvalue of a sum of squares.
+PRECISION, ROUNDING = 1e-6, 1e-12
 
 
 def skew(vectors: ArrayLike) -> FloatArray:

@@ -23,7 +23,7 @@ from trajectory_calibration.solvers.solution import Solution
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic of lowest cost (m^2); raises MotionError where nothing moved."""
-    quadratic.require_motion(motions)
+    quadratic.require_motion(motions.pairs)
     minimum = quadratic.minimise(quadratic.gram(motions, rotation=False), prior=config.prior)
     T_a_b = quadratic.polish(minimum.T_a_b, motions, rotation=False)
     return Solution(

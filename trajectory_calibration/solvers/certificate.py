@@ -31,8 +31,6 @@ from trajectory_calibration.solvers import quadratic
 # A gap below this share of the cost proves the answer.
 PROVEN = 1e-6
 
-_MAX_PROJECTIONS = 300
-
 # Eigenvalues above this share of the largest, negative, are zero but for rounding.
 _ROUNDING = 1e-11
 
@@ -66,7 +64,7 @@ def _raise_lowest(F: FloatArray, u: FloatArray) -> float:
     # What is left of S u = 0 where the answer is not quite stationary.
     missed = float(np.linalg.norm(F @ u - columns @ start) / np.linalg.norm(u))
     best = -np.inf
-    for _ in range(_MAX_PROJECTIONS):
+    for _ in range(300):
         eigenvalues, vectors = np.linalg.eigh(S)
         best = max(best, float(eigenvalues[0]))
         if best >= -_ROUNDING:

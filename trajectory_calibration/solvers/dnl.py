@@ -31,9 +31,6 @@ from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.certificate import certify, PROVEN
 from trajectory_calibration.solvers.solution import Solution
 
-# Number of starts after a failed certificate.
-_MANY = 500
-
 # One thread at a time, in all programs: a CasADi function keeps the statistics of whoever called
 # it last, CasADi counts the references to shared symbols without a lock, and Ipopt's linear
 # solver (MUMPS) has global state, so that a program of its own for each thread would not do.
@@ -41,17 +38,13 @@ _IPOPT = Lock()
 
 QUIET = {'print_time': False, 'ipopt.print_level': 0, 'ipopt.sb': 'yes'}
 
-# Below this tolerance the line search fails due to rounding of the cost; a final step on the
-# residuals gives the last digits.
-_IPOPT_OPTIONS = {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.max_iter': 200}
-
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic with the lowest cost (rotation entries squared + m^2).
 
     Raises MotionError for no motion at all, SolverError where Ipopt stopped before a minimum.
     """
-    quadratic.require_motion(motions)
+    quadratic.require_motion(motions.pairs)
     minimum, gap = lowest_minimum(quadratic.gram(motions), config.prior)
     T_a_b, cost, iterations = minimise_with_ipopt(minimum.form, minimum.T_a_b)
     doubt = Finding(
@@ -79,8 +72,8 @@ def lowest_minimum(
 
 
 def _many_rotations() -> FloatArray:
-    """Return (S, 3, 3) rotations that cover SO(3) densely, the same ones every time."""
-    quaternions = np.random.default_rng(0).standard_normal((_MANY, 4))
+    """Return (500, 3, 3) rotations that cover SO(3) densely, the same ones every time."""
+    quaternions = np.random.default_rng(0).standard_normal((500, 4))
     return se3.quaternion_to_rotation(
         quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True))
 
@@ -130,9 +123,11 @@ def _program() -> Any:
     G, R_start = ca.SX.sym('G', 169), ca.SX.sym('R_start', 9)
     v = symbolic_monomials(ca, theta, t, R_start)
     cost = ca.dot(v, ca.mtimes(ca.reshape(G, 13, 13), v))
+    # Below this tolerance the line search is lost in the rounding of the cost; the last digits
+    # come from a step on the residuals.
     return ca.nlpsol(
-        'dnl', 'ipopt',
-        {'x': ca.vertcat(theta, t), 'p': ca.vertcat(G, R_start), 'f': cost}, _IPOPT_OPTIONS)
+        'dnl', 'ipopt', {'x': ca.vertcat(theta, t), 'p': ca.vertcat(G, R_start), 'f': cost},
+        {**QUIET, 'ipopt.tol': 1e-9, 'ipopt.max_iter': 200})
 
 
 def symbolic_monomials(ca: Any, theta: Any, t: Any, R_start: Any) -> Any:

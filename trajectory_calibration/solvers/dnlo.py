@@ -40,22 +40,6 @@ from trajectory_calibration.solvers.dnl import QUIET, run_ipopt, symbolic_monomi
 from trajectory_calibration.solvers.least_trimmed_squares import Candidates, TrimmedCost
 from trajectory_calibration.solvers.solution import Solution
 
-# Up to this many motions the nonlinear program takes less than about a tenth of a second.
-_IPOPT_MOTIONS = 500
-
-# Ratio of two costs from which one is clearly lower, and number of motions to compare them.
-_CLEARLY_LOWER = 0.95
-_ENOUGH = 400
-
-# Precision of the extrinsic of a preliminary search, radians.
-_ROUGHLY = 1e-5
-
-# With one motion the axis of its rotation is unobserved.
-_LEAST_KEPT = 2
-
-# Starts of the alternation: consecutive parts of the drive, each solved alone.
-_PARTS = 4
-
 # The paper's start: rotation vector, translation and all weights. The authors' rotation matrix
 # is the transpose of the usual one, hence the signs.
 _PAPER_START = np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
@@ -67,16 +51,17 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     Raises MotionError for no motion at all, or fewer than two that are kept; SolverError where
     Ipopt stopped before a minimum.
     """
-    quadratic.require_motion(motions)
+    quadratic.require_motion(motions.pairs)
     cost = TrimmedCost.of(motions, config.dnlo_c, config.dnlo_min_inliers, config.prior)
     best, steps = _minimise(cost, config.dnlo_method)
     weights = best.weights[0]
     inliers = weights > 0.5
     kept = int(np.count_nonzero(inliers))
-    if kept < _LEAST_KEPT:
+    # With one motion the axis of its rotation is unobserved.
+    if kept < 2:
         raise MotionError(
             f'the solver keeps {kept} of {counted(len(motions), "motion")}, needed at least '
-            f'{_LEAST_KEPT}: the other squared residuals are above dnlo_c, {cost.c:g}. '
+            f'2: the other squared residuals are above dnlo_c, {cost.c:g}. '
             'Raise dnlo_c or dnlo_min_inliers')
     return Solution(
         quadratic.polish(best.T_a_b[0], motions, weights), float(best.cost[0]), steps,
@@ -90,22 +75,24 @@ def _minimise(cost: TrimmedCost, method: str) -> tuple[Candidates, int]:
         return cost.alternate(_starts(cost))
     if method == 'ipopt':
         return _minimise_with_ipopt(cost)
-    if method == 'auto' and motions <= _IPOPT_MOTIONS:
+    # So few take the nonlinear program less than about a tenth of a second.
+    if method == 'auto' and motions <= 500:
         joint, steps = _minimise_with_ipopt(cost)
         start = joint.T_a_b
     else:
         start, steps = cost.follow_central_path(cost.minimum(np.ones((1, motions))))
     best, more = cost.alternate(start)
     if method == 'auto':
-        few = cost.thinned(_ENOUGH)
-        best = _clearly_lower(best, cost, few.alternate(_starts(few), _ROUGHLY)[0])
+        # Few motions and 1e-5 rad are enough to see where to search.
+        few = cost.thinned(400)
+        best = _clearly_lower(best, cost, few.alternate(_starts(few), 1e-5)[0])
     return best, steps + more
 
 
 def _clearly_lower(best: Candidates, cost: TrimmedCost, other: Candidates) -> Candidates:
     """Return the minimum next to ``other`` if its cost is clearly lower, else ``best``."""
     # Without noise both are rounding errors, and their ratio says nothing.
-    limit = _CLEARLY_LOWER * float(best.cost[0]) - 1e-12
+    limit = 0.95 * float(best.cost[0]) - 1e-12
     if cost.weigh(other.T_a_b).cost[0] >= best.cost[0]:
         return best
     other = cost.alternate(other.T_a_b)[0]
@@ -113,9 +100,9 @@ def _clearly_lower(best: Candidates, cost: TrimmedCost, other: Candidates) -> Ca
 
 
 def _starts(cost: TrimmedCost) -> FloatArray:
-    """Return (S, 4, 4) extrinsics: of all motions, and of consecutive parts of the drive."""
+    """Return (S, 4, 4) extrinsics: of all motions, and of consecutive quarters of the drive."""
     motions = cost.features.shape[1]
-    parts = max(1, min(_PARTS, motions // 2))
+    parts = max(1, min(4, motions // 2))
     weights = np.zeros((parts + 1, motions))
     weights[0] = 1.0
     for row, part in zip(weights[1:], np.array_split(np.arange(motions), parts), strict=True):

@@ -24,19 +24,8 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import quadratic
 
-# Alternation: few steps from every start, then the best of them to the end.
-_SHORT_STEPS = 3
-_LONG_STARTS = 3
+# Most steps of either way down.
 _MAX_STEPS = 500
-
-# Central path: the barrier shrinks by this factor per step, down to this share of c. Going on to
-# 1e-6 doubles the steps and changes no weight.
-_BARRIER_FACTOR = 0.6
-_BARRIER_END = 1e-3
-
-# Newton steps, at most, for the multiplier of the least sum of weights, and its precision.
-_MULTIPLIER_STEPS = 60
-_MULTIPLIER_PRECISION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +114,9 @@ class TrimmedCost:
             settled = (moved.weights == found.weights).all() or (
                 found.cost - moved.cost <= 1e-13 * found.cost).all()
             found = moved
-            if step == _SHORT_STEPS:
-                found = found[np.argsort(found.cost, kind='stable')[:_LONG_STARTS]]
+            # Few steps from every start, then the best of them to the end.
+            if step == 3:
+                found = found[np.argsort(found.cost, kind='stable')[:3]]
             elif settled:
                 break
         return found[[int(np.argmin(found.cost))]], step
@@ -143,11 +133,13 @@ class TrimmedCost:
         T_a_b, squares = start[0], self.squares(start)[0]
         mu = max(float(squares.mean()), self.c)
         steps, multiplier = 0, 0.0
-        while mu > _BARRIER_END * self.c and steps < _MAX_STEPS:
+        # At the end weights beside the threshold are decided; going on to 1e-6 doubles the steps
+        # and changes nothing.
+        while mu > 1e-3 * self.c and steps < _MAX_STEPS:
             weights, multiplier = self._barrier_weights(squares, mu, multiplier)
             T_a_b = quadratic.newton_step(self.gram(weights), T_a_b, len(weights))
             squares = self.squares(T_a_b[None])[0]
-            mu *= _BARRIER_FACTOR
+            mu *= 0.6
             steps += 1
         return T_a_b[None], steps
 
@@ -157,10 +149,10 @@ class TrimmedCost:
         """Return the (M,) weights, and lambda; its last value is where the search begins."""
         excess = squares - self.c
         low, high = 0.0, float(squares.max()) + 1e3 * mu
-        for _ in range(_MULTIPLIER_STEPS):
+        for _ in range(60):
             weights, slope = _barrier_weight(excess - multiplier, mu)
             missing = self.least - float(weights.sum())
-            if abs(missing) <= _MULTIPLIER_PRECISION * self.least or (
+            if abs(missing) <= 1e-6 * self.least or (
                     multiplier == 0.0 and missing < 0):
                 break
             low, high = (multiplier, high) if missing > 0 else (low, multiplier)

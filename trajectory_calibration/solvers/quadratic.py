@@ -22,31 +22,17 @@ import numpy as np
 
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.data.motion_pairs import MotionPairs
-from trajectory_calibration.errors import MotionError
+from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.errors import counted, MotionError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
-# Relative to the largest eigenvalue of a sum of squares: below it a direction is unobserved
-# but for rounding. It is the square of the tilt, 1e-6 rad, that files with nine digits keep.
-_UNOBSERVED = 1e-12
-
-# Weight of the regularisation of an unobserved rotation, relative to the rotation part.
-_HOLD = 1e-9
-
-# Standard deviation, metres, from which a translation is meaningless: far beyond
-# ``UNOBSERVED_STD``, because published rows are off by 20 and 100 m. Factor by which its
-# regularisation outweighs the motion.
-_IMPLAUSIBLE, _FIRMLY = 10 * UNOBSERVED_STD[0], 1e9
-
 # Smallest root mean square motion above rounding (radians; metres per metre from the origin).
 NO_MOTION = 1e-9
 
-# The same, relative to the motion of a drive straight ahead.
-_UNTURNED = 1e-6
-
-# A minimisation ends with a step below the first, radians, or after so many.
-SETTLED, _MAX_ITERATIONS = 1e-12, 100
+# A minimisation ends with a step below this, radians.
+SETTLED = 1e-12
 
 # Motions whose features are computed at once.
 CHUNK = 8192
@@ -89,16 +75,13 @@ class Minimum:
     form: FloatArray
 
 
-def require_motion(motions: MotionPairs) -> None:
+def require_motion(pairs: PosePairs) -> None:
     """Raise MotionError if one of the sensors did not move beyond rounding."""
-    for name, moved, poses in (('a', motions.A, motions.pairs.poses_a),
-                               ('b', motions.B, motions.pairs.poses_b)):
-        reach = 1.0 + float(np.abs(poses[:, :3, 3]).max())
-        change = np.abs(moved - np.eye(4)).max(initial=0.0)
-        if change < NO_MOTION * reach:
+    for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
+        if np.abs(poses - poses[0]).max() <= NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
             raise MotionError(
-                f'the sensors did not turn or move: {name} stood still in all {len(motions)} '
-                'motions. Drive curves, and a ramp or a bank')
+                f'the sensors did not turn or move: {name} stood still over '
+                f'{counted(len(poses), "pose")}. Drive curves, and a ramp or a bank')
 
 
 def rows(A: FloatArray, B: FloatArray, *, rotation: bool = True) -> FloatArray:
@@ -177,7 +160,8 @@ def minimise(
     if not _determines_rotation(G, minimum.T_a_b):
         R_prior = np.eye(3) if prior is None else prior.rotation
         off = np.column_stack([np.eye(9), np.zeros((9, 3)), -R_prior.reshape(9)])
-        held = G + _HOLD * float(np.trace(G[:9, :9])) / 9 * off.T @ off
+        # A weight that is negligible beside the rotation's part of the form.
+        held = G + 1e-9 * float(np.trace(G[:9, :9])) / 9 * off.T @ off
         minimum = _lowest(held, np.concatenate([starts, R_prior[None]]))
     return minimum
 
@@ -204,8 +188,8 @@ def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
     is rounding.
     """
     eigenvalues, axes = np.linalg.eigh(turns)
-    largest = np.maximum(eigenvalues[..., -1], _UNTURNED * np.asarray(size))[..., None]
-    unobserved = eigenvalues <= _UNOBSERVED * largest
+    largest = np.maximum(eigenvalues[..., -1], se3.PRECISION * np.asarray(size))[..., None]
+    unobserved = eigenvalues <= se3.ROUNDING * largest
     weight = np.where(unobserved, np.maximum(largest, np.finfo(float).tiny), 0.0)
     hold: FloatArray = (axes * weight[..., None, :]) @ np.swapaxes(axes, -1, -2)
     return hold
@@ -218,15 +202,16 @@ def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
     any turn explains by kilometres: with ``variance`` of a residual, m^2, such a t means nothing.
     """
     eigenvalues, axes = np.linalg.eigh(turns)
-    least = variance / _IMPLAUSIBLE**2
+    # Far beyond ``UNOBSERVED_STD``, because published rows are 20 and 100 m off.
+    least = variance / (10 * UNOBSERVED_STD[0])**2
     unobserved = axes[:, eigenvalues < least]
-    hold: FloatArray = _FIRMLY * least * unobserved @ unobserved.T
+    hold: FloatArray = 1e9 * least * unobserved @ unobserved.T
     return hold
 
 
 def linear_start(G: FloatArray) -> FloatArray:
     """Return the (3, 3) rotation next to the minimum over all matrices, rotations or not."""
-    v = -np.linalg.pinv(G[:12, :12], rcond=_UNOBSERVED, hermitian=True) @ G[:12, 12]
+    v = -np.linalg.pinv(G[:12, :12], rcond=se3.ROUNDING, hermitian=True) @ G[:12, 12]
     return se3.nearest_rotation(v[:9].reshape(3, 3))
 
 
@@ -258,7 +243,7 @@ def minimise_rotations(
     F = np.broadcast_to(F / scale[..., None, None], (len(starts), 10, 10))
     R = np.array(starts)
     cost, damping, done, iterations = _cost(F, R), np.zeros(len(R)), np.zeros(len(R), bool), 0
-    while not done.all() and iterations < _MAX_ITERATIONS:
+    while not done.all() and iterations < 100:
         iterations += 1
         gradient, hessian = _derivatives(F, R)
         # A Newton step on the absolute eigenvalues: downhill also where the cost is not convex.
@@ -314,7 +299,7 @@ def observed_directions(H: FloatArray, motions: int) -> FloatArray:
     largest = np.diagonal(H).reshape(2, 3).max(axis=1)
     scale = np.repeat(np.sqrt(np.maximum(largest, motions * NO_MOTION**2)), 3)
     eigenvalues, Q = np.linalg.eigh(H / np.outer(scale, scale))
-    kept = eigenvalues > _UNOBSERVED * max(float(eigenvalues[-1]), 1.0)
+    kept = eigenvalues > se3.ROUNDING * max(float(eigenvalues[-1]), 1.0)
     found: FloatArray = Q[:, kept] / np.sqrt(eigenvalues[kept]) / scale[:, None]
     return found
 
@@ -346,7 +331,7 @@ def _determines_rotation(G: FloatArray, T_a_b: FloatArray) -> bool:
     """Tell whether a form determines the rotation at its minimum, but for rounding."""
     J = _slopes(T_a_b)[3:, :9]
     eigenvalues = np.linalg.eigvalsh(J @ without_translation(G)[:9, :9] @ J.T)
-    return bool(eigenvalues[0] > _UNOBSERVED * eigenvalues[-1])
+    return bool(eigenvalues[0] > se3.ROUNDING * eigenvalues[-1])
 
 
 def _with_one(R: FloatArray) -> FloatArray:

@@ -32,13 +32,6 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import linear, quadratic
 from trajectory_calibration.solvers.solution import Solution
 
-# The second largest singular value of the aligned rotation vectors, relative to the largest,
-# below which all rotations share one axis within rounding.
-_SINGLE_AXIS = 1e-9
-
-# Smallest root mean square rotation (radians) above rounding.
-_NO_ROTATION = 1e-9
-
 # Rotation of a motion (radians) from which its axis is not used. At 180 deg an axis and its
 # opposite are the same rotation, and noise decides between them for each sensor separately.
 _HALF_TURN = np.deg2rad(170.0)
@@ -49,7 +42,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
 
     Raises MotionError for no motion at all, or too few motions of less than half a turn.
     """
-    quadratic.require_motion(motions)
+    quadratic.require_motion(motions.pairs)
     motions, inliers, findings = exclude_half_turns(motions)
     R_a_b = align_rotation_vectors(motions, config.prior)
     t, cost = solve_translation(R_a_b, motions, config.prior)
@@ -95,7 +88,8 @@ def align_rotation_vectors(motions: MotionPairs, prior: Prior) -> FloatArray:
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
     singular = np.linalg.svd(covariance, compute_uv=False)
-    regulariser = max(_SINGLE_AXIS * float(singular[0]), _NO_ROTATION**2 * len(motions))
+    # Below it all rotations have one axis within rounding.
+    regulariser = max(1e-9 * float(singular[0]), quadratic.NO_MOTION**2 * len(motions))
     if singular[1] < regulariser:
         covariance = covariance + regulariser * prior.rotation
     return se3.nearest_rotation(covariance)

@@ -38,35 +38,20 @@ from trajectory_calibration.solvers.registry import DEFAULT_SOLVER
 from trajectory_calibration.solvers.separable import align_rotation_vectors, exclude_half_turns
 from trajectory_calibration.solvers.solution import Equations, Solution
 
-# Rotation between the sensors from which rotated coordinates are used (radians).
-_NEAR_HALF_TURN = np.deg2rad(179.9)
-
-# Rotation between the sensors from which there is a finding: z is then longer than one.
-_LARGE_ROTATION = np.deg2rad(90.0)
-
-# A motion with a smaller rotation (radians) has no axis; only its translation is used.
-_NO_AXIS = 1e-9
-
-_MAX_ITERATIONS = 500
-_HALVINGS = 40
-
-# Rounding of the cost, relative to that of the identity.
-_ROUNDING = 1e-13
-_STEP_TOLERANCE = 1e-12
-
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     """Return the extrinsic at the minimum next to Kabsch's rotation; raises as ``park``."""
-    quadratic.require_motion(motions)
+    quadratic.require_motion(motions.pairs)
     motions, inliers, findings = exclude_half_turns(motions)
     R_start = align_rotation_vectors(motions, config.prior)
     angle = float(se3.rotation_angle(R_start))
-    turned = angle > _NEAR_HALF_TURN
+    turned = angle > np.deg2rad(179.9)
     R_turn = R_start if turned else np.eye(3)
     start = np.concatenate([_to_z(R_start @ R_turn.T), config.prior.translation])
     found = _minimise(_gram(motions, R_turn), start, len(motions))
     T_a_b = se3.from_rotation_translation(_from_z(found.x[:3]) @ R_turn, found.x[3:])
-    if angle > _LARGE_ROTATION:
+    # From there on z is longer than one.
+    if angle > np.pi / 2:
         findings = (*findings, Finding(
             'rotation-large',
             f'the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
@@ -103,10 +88,13 @@ def linearise(R_turn: FloatArray, T_a_b: FloatArray, A: FloatArray, C: FloatArra
 
 
 def _axes(motions: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the (M, 3) axes of (M, 4, 4) motions, and which of them turn enough to have one."""
+    """Return the (M, 3) axes of (M, 4, 4) motions, and which of them turn enough to have one.
+
+    Of the others only the translation is used.
+    """
     phi = se3.log_so3(motions[:, :3, :3])
     angle = np.linalg.norm(phi, axis=1)
-    return phi / np.maximum(angle, _NO_AXIS)[:, None], angle > _NO_AXIS
+    return phi / np.maximum(angle, quadratic.NO_MOTION)[:, None], angle > quadratic.NO_MOTION
 
 
 def _gram(motions: MotionPairs, R_turn: FloatArray) -> FloatArray:
@@ -150,16 +138,17 @@ def _minimise(S: FloatArray, start: FloatArray, motions: int) -> _Minimum:
 
 def _gauss_newton(S: FloatArray, start: FloatArray, hold: FloatArray, motions: int) -> _Minimum:
     """Minimise with ``(x - start)^T hold (x - start)`` added to the cost."""
-    x, iteration, rounding = start, 0, _ROUNDING * float(S[15, 15])
+    # Changes of the cost that are rounding, by the cost of no extrinsic at all.
+    x, iteration, rounding = start, 0, 1e-13 * float(S[15, 15])
     plain, gradient, H = _equations(S, x)
     # An unobserved direction stays where it is, whatever rounding makes of it.
     Q = quadratic.observed_directions(H, motions)
-    for iteration in range(1, _MAX_ITERATIONS + 1):
+    for iteration in range(1, 501):
         off = x - start
         cost = plain + off @ hold @ off
         step = -Q @ np.linalg.solve(Q.T @ (H + hold) @ Q, Q.T @ (gradient + hold @ off))
         length = np.linalg.norm(step) / (1 + np.linalg.norm(x[:3]) + np.linalg.norm(x[3:]))
-        for _ in range(_HALVINGS):
+        for _ in range(40):
             plain, gradient, H = _equations(S, x + step)
             off = x + step - start
             if plain + off @ hold @ off <= cost + rounding:
@@ -169,7 +158,7 @@ def _gauss_newton(S: FloatArray, start: FloatArray, hold: FloatArray, motions: i
             # No step goes down: the rest is rounding.
             return _Minimum(x, max(float(cost), 0.0), iteration, settled=True)
         x = x + step
-        if length <= _STEP_TOLERANCE:
+        if length <= 1e-12:
             return _Minimum(x, max(plain, 0.0), iteration, settled=True)
     return _Minimum(x, max(plain, 0.0), iteration, settled=False)
 

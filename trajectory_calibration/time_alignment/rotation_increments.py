@@ -63,7 +63,7 @@ class RotationIncrements:
         usable = (_covered(a, times[i], reach) & _covered(a, times[j], reach)
                   & (times[j] - times[i] <= 2 * step * b.usual_step_ns))
         rotations_b = se3.log_so3(np.swapaxes(b.rotations[i], 1, 2) @ b.rotations[j])
-        usable &= np.linalg.norm(rotations_b, axis=1) < se3.LARGEST_TURN
+        usable &= np.linalg.norm(rotations_b, axis=1) < se3.LARGEST_ROTATION
         if usable.sum() < 3 * step:
             return None
         first, last = max(a.stamps_ns[0], times[0]), min(a.stamps_ns[-1], times[-1])

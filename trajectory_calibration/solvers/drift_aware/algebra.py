@@ -11,15 +11,9 @@ from trajectory_calibration.geometry.se3 import FloatArray, log_so3, skew
 # Components of a twist: (translation, rotation), both in the axes of the body.
 TRANSLATION, ROTATION = slice(0, 3), slice(3, 6)
 
-# Below this squared angle the series of ``log`` is accurate enough.
-_SMALL = 0.03
-
 # The elements of a flat rotation whose differences are twice the axis times the sine.
 _LOWER, _UPPER = np.array([7, 2, 3]), np.array([5, 6, 1])
 _IDENTITY = np.eye(3)
-
-# Rounding of a matrix with unit diagonal.
-_ROUNDING = 1e-13
 
 
 def transposed(matrices: FloatArray) -> FloatArray:
@@ -53,7 +47,8 @@ def log(rotations: FloatArray) -> FloatArray:
     flat = rotations.reshape(-1, 9)
     half = 0.5 * (flat[:, _LOWER] - flat[:, _UPPER])
     square = np.einsum('ni,ni->n', half, half)
-    if len(square) and (square.max() > _SMALL
+    # Below this the series is exact to rounding of what is noise anyway.
+    if len(square) and (square.max() > 0.03
                         or (flat[:, 0] + flat[:, 4] + flat[:, 8]).min() < 1.0):
         return log_so3(rotations)
     # arcsin(s) / s = 1 + s^2 / 6 + 3 s^4 / 40 + 15 s^6 / 336 + ...
@@ -93,6 +88,6 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """
     diagonal = np.diag(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    unit = matrix * np.outer(scale, scale) + _ROUNDING * np.eye(len(matrix))
+    unit = matrix * np.outer(scale, scale) + 1e-13 * np.eye(len(matrix))
     result = np.linalg.solve(unit, right * scale[:, None] if right.ndim > 1 else right * scale)
     return np.asarray(result * scale[:, None] if right.ndim > 1 else result * scale)

@@ -11,26 +11,20 @@ from trajectory_calibration.solvers.drift_aware.drive import HALF_WIDTH, LATENCY
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, whitener
 
-# A direction is exactly unobserved below this share of the largest information; its standard
-# deviation is then a kilometre.
-_ROUNDING, _FAR = 1e-11, 1e3
-
-# Standard deviation, seconds, that bounds the tail of the prior of the latency.
-_LONG_LATENCY_S = 0.1
-# Abscissae of the integral over the posterior, in standard deviations of the likelihood.
-_ABSCISSAE = np.linspace(-8.0, 8.0, 2001)
-
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pseudo-inverse, and the covariance of exactly unobserved directions."""
+    """Return the pseudo-inverse, and the covariance of unobserved directions: a kilometre.
+
+    Their information is below 1e-11 of that of the others, which is rounding.
+    """
     diagonal = np.diag(bread)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(bread * np.outer(scale, scale))
-    known = values > _ROUNDING
+    known = values > 1e-11
     rows = scale[:, None] * vectors
     kept = rows[:, known]
     free = rows[:, ~known] / np.linalg.norm(rows[:, ~known], axis=0)
-    return kept / values[known] @ kept.T, free @ free.T * _FAR**2
+    return kept / values[known] @ kept.T, free @ free.T * 1e3**2
 
 
 def _prior_precision_of_latency(fit: Fit, A: FloatArray) -> float:
@@ -45,10 +39,12 @@ def _prior_precision_of_latency(fit: Fit, A: FloatArray) -> float:
     known, unobserved = _inverse(A / fit.phi + np.diag(prior))
     of_data = 1 / (known + unobserved)[LATENCY, LATENCY]
     mode = fit.state.terms[LATENCY - 6]
-    precision = of_data + _LONG_LATENCY_S**-2
+    # Latencies beyond 0.1 s are unlikely, whatever the tail of the prior.
+    precision = of_data + 0.1**-2
     middle = (of_data + fit.prior[LATENCY]) * mode / precision
-    x = middle + _ABSCISSAE / np.sqrt(precision)
-    cost = np.log1p((x / HALF_WIDTH[LATENCY - 6])**2) + 0.5 * _ABSCISSAE**2
+    deviations = np.linspace(-8.0, 8.0, 2001)
+    x = middle + deviations / np.sqrt(precision)
+    cost = np.log1p((x / HALF_WIDTH[LATENCY - 6])**2) + 0.5 * deviations**2
     p = np.exp(cost.min() - cost)
     return max(0.0, float(p.sum() / (p @ (x - mode)**2)) - of_data)
 

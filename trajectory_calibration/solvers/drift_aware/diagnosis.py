@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, rounded
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
 from trajectory_calibration.solvers.drift_aware.drive import (
@@ -21,17 +22,6 @@ from trajectory_calibration.solvers.drift_aware.drive import (
 )
 from trajectory_calibration.solvers.drift_aware.fit import Fit
 from trajectory_calibration.solvers.solution import Diagnosis, Jump
-
-# From this distance to one, a scale is another unit of length.
-_ANOTHER_UNIT = 0.3
-# Number of jumps in a finding; the diagnosis has all of them.
-_NAMED_JUMPS = 3
-# A term is a finding beyond this many standard deviations and beyond a size that matters.
-_SIGNIFICANT = 3.0
-_SMALLEST_SCALE = 0.002
-_SMALLEST_DRIFT = 0.005
-_SMALLEST_TIME_S = 0.005
-_SMALLEST_LATENCY_S = 0.01
 
 
 def diagnose(
@@ -120,18 +110,20 @@ def findings_of(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
 
 
 def _is_significant(value: float, deviation: float | None, smallest: float) -> bool:
-    return deviation is not None and abs(value) > max(_SIGNIFICANT * deviation, smallest)
+    """Return whether a term is significant, and of a size that matters."""
+    return deviation is not None and abs(value) > max(quantile(1)**0.5 * deviation, smallest)
 
 
 def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     scale, deviation = diagnosis.scale, diagnosis.scale_deviation
     off = scale - 1
     known = '' if deviation is None else f' (+- {deviation / scale:.2%})'
-    if abs(off) > _ANOTHER_UNIT:
+    # So far from one, a scale is another unit of length.
+    if abs(off) > 0.3:
         return (Finding(
             'scale-unit', 'b is in another unit of length: its positions were multiplied by '
             f'{scale:.4g}{known}', {'scale': scale}),)
-    if not _is_significant(off, deviation, _SMALLEST_SCALE):
+    if not _is_significant(off, deviation, 0.002):
         return ()
     return (Finding(
         'scale', f'the two trajectories disagree in scale by {off:+.2%}{known}: the scale of '
@@ -141,12 +133,12 @@ def _of_scale(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     found = []
     offset, deviation = diagnosis.time_offset_s, diagnosis.time_offset_deviation_s
-    if deviation is not None and _is_significant(offset, deviation, _SMALLEST_TIME_S):
+    if deviation is not None and _is_significant(offset, deviation, 0.005):
         found.append(Finding(
             'clock-offset', f'remaining clock offset {1e3 * offset:+.1f} ms (+- '
             f'{1e3 * deviation:.1f} ms) added to the stamps of b', {'offset_s': offset}))
     latency, deviation = diagnosis.latency_s, diagnosis.latency_deviation_s
-    if _is_significant(latency, deviation, _SMALLEST_LATENCY_S):
+    if _is_significant(latency, deviation, 0.01):
         which = 'b' if latency > 0 else 'a'
         found.append(Finding(
             'position-latency', f'the position of {which} is older than its orientation by '
@@ -158,7 +150,7 @@ def _of_times(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def _of_drift(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     drift, deviations = diagnosis.systematic_drift, diagnosis.systematic_drift_deviation
     named = [] if deviations is None else [
-        k for k in range(3) if _is_significant(drift[k], deviations[k], _SMALLEST_DRIFT)]
+        k for k in range(3) if _is_significant(drift[k], deviations[k], 0.005)]
     if not named:
         return ()
     shares, axes = (' and '.join(words) for words in (
@@ -179,7 +171,7 @@ def _of_jumps(diagnosis: Diagnosis, start_ns: int) -> tuple[Finding, ...]:
         return ()
     named = ', '.join(
         f'{_size(jump.translation_m)} m and {_size(np.rad2deg(jump.rotation_rad))} deg at '
-        f'{(jump.stamp_ns - start_ns) * 1e-9:.1f} s' for jump in jumps[:_NAMED_JUMPS])
+        f'{(jump.stamp_ns - start_ns) * 1e-9:.1f} s' for jump in jumps[:3])
     return (Finding(
         'pose-jumps', f'{counted(len(jumps), "pose jump")} excluded (relocalisation or loop '
         f'closure?). Largest, in seconds from the start: {named}', {

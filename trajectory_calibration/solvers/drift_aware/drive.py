@@ -45,17 +45,6 @@ SCALE, DRIFT, LATENCY, OFFSET = 6, slice(7, 10), 10, 11
 TERMS = {'scale': slice(6, 7), 'systematic_drift': DRIFT, 'time_offset': slice(11, 12)}
 HALF_WIDTH = np.array([0.01, 0.002, 0.002, 0.002, 0.005, 0.005])
 
-# A very weak prior of the extrinsic, a kilometre and any angle: unobserved directions stay
-# finite and have a large covariance.
-_OF_EXTRINSIC = np.repeat([1e-6, 1e-2], 3)
-
-# A step longer than this and than five median steps is a gap, with unknown motion.
-_GAP_S = 1.0
-_GAP_STEPS = 5
-
-# Accelerations are differences over this time (seconds) before and after: shorter is noise.
-_ACCELERATION_S = 0.2
-
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -119,8 +108,9 @@ class Drive:
         R_a, R_b = pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]
         p_a = pairs.poses_a[:, :3, 3] - pairs.poses_a[0, :3, 3]
         p_b = pairs.poses_b[:, :3, 3] - pairs.poses_b[0, :3, 3]
+        # The motion in a gap is unknown. Shorter stops, as between keyframes, are steps.
         steps = np.diff(times)
-        gap = steps > _GAP_S + _GAP_STEPS * np.median(steps)
+        gap = steps > 1.0 + 5 * np.median(steps)
         before = np.maximum(np.arange(len(times)) - 1, 0)
         after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
         known = ~(np.r_[False, gap] | np.r_[gap, False])
@@ -146,7 +136,8 @@ def _accelerations(
     times: FloatArray, positions: FloatArray, gap: NDArray[np.bool_],
 ) -> FloatArray:
     """Return (N, 3) accelerations, zero at the ends and at gaps."""
-    k = int(np.ceil(_ACCELERATION_S / np.median(np.diff(times))))
+    # Over 0.2 s before and after: differences of closer poses are noise.
+    k = int(np.ceil(0.2 / np.median(np.diff(times))))
     result = np.zeros_like(positions)
     if len(times) > 2 * k:
         gaps = np.concatenate([[0], np.cumsum(gap)])
@@ -240,7 +231,10 @@ def prior_precision(terms: FloatArray, modes: Mapping[str, str]) -> FloatArray:
     ``2 / (g^2 + x^2)`` that touches it at x, so iterating on parabolas descends. The curvature is
     zero for 'estimate' and infinite for 'fixed'.
     """
-    precision = np.concatenate([_OF_EXTRINSIC, 2.0 / (HALF_WIDTH**2 + terms**2)])
+    # A very weak prior of the extrinsic, a kilometre and any angle: unobservable directions stay
+    # finite and have a large covariance.
+    of_extrinsic = np.repeat([1e-6, 1e-2], 3)
+    precision = np.concatenate([of_extrinsic, 2.0 / (HALF_WIDTH**2 + terms**2)])
     for name, columns in TERMS.items():
         if modes[name] == 'estimate':
             precision[columns] = 0.0

@@ -26,25 +26,6 @@ from trajectory_calibration.solvers.drift_aware.spread import inflation
 from trajectory_calibration.solvers.drift_aware.tree import contrast, Contrasts, Plan, plan
 from trajectory_calibration.solvers.drift_aware.variances import first_noise, improved
 
-# Rounds in which jumps are detected, the tail is estimated, and rho is estimated; largest number
-# of rounds.
-_JUMP_ROUNDS = 3
-_TAIL_ROUNDS = (2, 4, 6)
-_FIRST_RHO, _LAST_RHO = 2, 6
-_MOST_ROUNDS = 16
-# The last round for rho after a coarse fit.
-_LAST_RHO_AGAIN = 3
-
-# Steps (in standard deviations) at which the fit has converged, and from which there is a finding.
-_SETTLED = 0.05
-_UNSETTLED = 0.3
-
-# Largest rotation of a step, radians.
-_LARGEST_ROTATION = 0.3
-
-# Initial value of rho.
-_FIRST_GUESS = 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -82,8 +63,8 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Return whether the last step was small."""
-        return self.last_step < _UNSETTLED
+        """Return whether the last step was small, in standard deviations."""
+        return self.last_step < 0.3
 
     @property
     def objective(self) -> float:
@@ -95,15 +76,15 @@ class Fit:
 
 def fit(
     drive: Drive, state: State, modes: Mapping[str, str], before: Fit | None = None,
-    most_rounds: int | None = None,
+    most_rounds: int = 16,
 ) -> Fit:
     """Return the maximum-likelihood fit from a start.
 
     ``modes`` maps 'scale', 'systematic_drift' and 'time_offset' to 'fixed', 'estimate' or 'auto'.
-    ``before`` is the coarse fit that gave the start.
+    ``before`` is the coarse fit that gave the start. Jumps, tail and rho are estimated in the
+    first rounds.
     """
-    rho = _FIRST_GUESS if before is None else before.rho
-    last_rho = _LAST_RHO if before is None else _LAST_RHO_AGAIN
+    rho, last_rho = (0.1, 6) if before is None else (before.rho, 3)
     step_s = drive.step_s
     jumps = _breaks(drive, state)
     cut = _cuts(jumps)
@@ -112,8 +93,8 @@ def fit(
     noise = first_noise(drive, state, tree.octaves, cut)
     if before is not None:
         noise = _from_coarse(noise, before, drive)
-    for round_ in range(most_rounds or _MOST_ROUNDS):
-        if 0 < round_ < _JUMP_ROUNDS:
+    for round_ in range(most_rounds):
+        if 0 < round_ < 3:
             jumps = _breaks(drive, state)
             if (_cuts(jumps) != cut).any():
                 cut = _cuts(jumps)
@@ -126,12 +107,12 @@ def fit(
         found = contrast(drive, state, tree, noise, jumps, weights)
         if not free.all():
             found = replace(found, J=found.J * free)
-        if round_ in _TAIL_ROUNDS:
+        if round_ in (2, 4, 6):
             noise = replace(noise, tail=student.find_tail(found.squares))
         weights = student.weights(found.squares, noise.tail)
         octaves = scores(tree, found, weights, step_s)
         terms = np.concatenate([np.zeros(6), state.terms])
-        if _FIRST_RHO <= round_ <= last_rho:
+        if 2 <= round_ <= last_rho:
             rho = saturation(octaves, prior, terms)
         c = octaves.weights(rho)
         phi = inflation(drive, tree, octaves, c, rho)
@@ -140,10 +121,10 @@ def fit(
         step = -solved(A, g)
         result = Fit(drive, state, noise, tree, found, weights, octaves, jumps, rho, c, phi,
                      prior, free, round_ + 1, float(np.sqrt(abs(step @ A @ step))))
-        if round_ > last_rho and result.last_step < _SETTLED:
+        if round_ > last_rho and result.last_step < 0.05:
             break
         angle = float(np.linalg.norm(step[ROTATION]))
-        state = state.moved(step * min(1.0, _LARGEST_ROTATION / max(angle, 1e-300)))
+        state = state.moved(step * min(1.0, 0.3 / max(angle, 1e-300)))
         noise = improved(noise, drive, state, tree, found, weights, cut,
                          octaves.normal + np.diag(prior))
     return result

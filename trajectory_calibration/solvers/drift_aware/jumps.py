@@ -26,12 +26,9 @@ _CONSTANT = (log_gamma((_TAILS + 3) / 2) - log_gamma(_TAILS / 2)
 
 # Histogram of the logarithms of the squares: number of bins, and smallest ratio to the largest.
 _BINS = 100
-_DECADES = 1e-16
-_ITERATIONS = 30
 
 # Smallest ratio of the variances of the wide component and the core; largest share of jumps.
 _WIDER = 25.0
-_LARGEST_SHARE = 0.6
 
 
 def find_jumps(drive: Drive, at: Corrected) -> FloatArray:
@@ -61,7 +58,7 @@ def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
     core and all k rows at once; the likelihood chooses.
     """
     largest = squares.max(axis=1, keepdims=True)
-    logs = np.log(np.maximum(squares, np.maximum(_DECADES * largest, 1e-300)))
+    logs = np.log(np.maximum(squares, np.maximum(1e-16 * largest, 1e-300)))
     lowest = logs.min(axis=1, keepdims=True)
     width = np.maximum((logs.max(axis=1, keepdims=True) - lowest) / _BINS, 1e-9)
     of = np.minimum(((logs - lowest) / width).astype(np.intp), _BINS - 1)
@@ -79,7 +76,7 @@ def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
     starts = np.stack([np.quantile(squares, 0.98, axis=1), largest[:, 0]], axis=1) / 3
     wide = np.maximum(np.repeat(starts, len(_TAILS) // 2, axis=1)[:, :, None], _WIDER * core)
     share = np.full_like(core, 0.05)
-    for _ in range(_ITERATIONS):
+    for _ in range(30):
         ratio = r / core
         narrow = (_CONSTANT - 1.5 * np.log(core) + np.log1p(-share)) - (
             0.5 * (_TAILS + 3)) * np.log(1 + ratio / _TAILS)
@@ -89,8 +86,7 @@ def jump_probability(squares: FloatArray) -> tuple[FloatArray, FloatArray]:
         of_jumps = probability @ sums
         jumps, of_jumps = of_jumps[:, :, :1], of_jumps[:, :, 1:]
         core = np.maximum(pulled / 3 / (total - jumps + 1e-9), 1e-300)
-        share = np.minimum(np.maximum(
-            (jumps + 0.01) / (squares.shape[1] + 1), 1e-9), _LARGEST_SHARE)
+        share = np.clip((jumps + 0.01) / (squares.shape[1] + 1), 1e-9, 0.6)
         wide = np.maximum(of_jumps / 3 / (jumps + 1e-12), _WIDER * core)
     best = (np.logaddexp(narrow, jump) @ sums[:, :, :1])[:, :, 0].argmax(axis=1)
     row = np.arange(len(squares))

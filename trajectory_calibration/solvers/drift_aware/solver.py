@@ -21,7 +21,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.data.pose_pairs import PosePairs
-from trajectory_calibration.errors import counted, MotionError, SolverError
+from trajectory_calibration.errors import counted, SolverError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers.drift_aware.algebra import ROTATION, TRANSLATION
 from trajectory_calibration.solvers.drift_aware.covariance import covariance
@@ -29,19 +29,14 @@ from trajectory_calibration.solvers.drift_aware.diagnosis import diagnose, findi
 from trajectory_calibration.solvers.drift_aware.drive import Drive, TERMS
 from trajectory_calibration.solvers.drift_aware.fit import Fit, fit
 from trajectory_calibration.solvers.drift_aware.starts import start
-from trajectory_calibration.solvers.quadratic import NO_MOTION
+from trajectory_calibration.solvers.quadratic import require_motion
 from trajectory_calibration.solvers.solution import Solution
 
 # Fewer pose pairs cannot separate noise from the extrinsic.
 MIN_POSES = 10
 
-# Longer drives are thinned to about this many poses: more would not increase the information,
-# which saturates. But steps stay below this many seconds: a vehicle turns in that time.
-_ENOUGH = 2000
-_LONGEST_STEP_S = 1.0
 # With more than twice this many poses, a fit to about this many comes first.
 _COARSE = 400
-_COARSE_ROUNDS = 7
 
 
 def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
@@ -70,7 +65,7 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
         raise SolverError(
             f'{counted(len(pairs), "pose pair")}, needed at least {MIN_POSES} to '
             'tell noise from motion; record longer, or use another solver')
-    _require_motion(pairs)
+    require_motion(pairs)
     every = _every(pairs)
     # A diverging start overflows; it is discarded, and if all diverge, that is an error.
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'), _named_errors(pairs):
@@ -96,7 +91,8 @@ def solve_pairs(pairs: PosePairs, terms: Mapping[str, str]) -> Solution:
 def _every(pairs: PosePairs) -> int:
     """Return k such that every k-th pose pair is enough."""
     step_s = 1e-9 * float(np.median(np.diff(pairs.stamps_ns)))
-    every = min(round(len(pairs) / _ENOUGH), int(_LONGEST_STEP_S / max(step_s, 1e-9)))
+    # The information of more than 2000 poses saturates. But a vehicle turns in a second.
+    every = min(round(len(pairs) / 2000), int(1.0 / max(step_s, 1e-9)))
     return max(1, every)
 
 
@@ -119,7 +115,7 @@ def _fit(pairs: PosePairs, every: int, terms: dict[str, str]) -> tuple[Fit, floa
     drive, coarse = drive.scaled(unit), coarse.scaled(unit)
     before = None
     if len(drive) > 2 * _COARSE:
-        before = fit(coarse, state, terms, most_rounds=_COARSE_ROUNDS)
+        before = fit(coarse, state, terms, most_rounds=7)
         state = before.state
     return fit(drive, state, terms, before), unit
 
@@ -143,13 +139,3 @@ def _unsettled(found: Fit) -> tuple[Finding, ...]:
         'not-converged', f'the solver did not converge in {counted(found.rounds, "iteration")}: '
         f'the last step was {found.last_step:.2g} standard deviations. Compare with another '
         'solver, or record longer', {'rounds': found.rounds}),)
-
-
-def _require_motion(pairs: PosePairs) -> None:
-    """Raise MotionError if one of the sensors did not move beyond rounding."""
-    for name, poses in (('a', pairs.poses_a), ('b', pairs.poses_b)):
-        change = float(np.abs(poses - poses[0]).max())
-        if change <= NO_MOTION * (1.0 + float(np.abs(poses[0]).max())):
-            raise MotionError(
-                f'the sensors did not turn: {name} stood still over '
-                f'{counted(len(poses), "pose")}; drive curves, and a ramp or a bank')

@@ -28,9 +28,6 @@ from trajectory_calibration.solvers.drift_aware.tree import Plan
 # Numbers of blocks; the largest is a multiple of the others.
 BLOCKS = (20, 10, 5)
 
-# Lower bound of phi.
-_LEAST = 0.3
-
 
 def whitener(A: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return W and its inverse with ``W' A W = 1``; almost zero where A has no information."""
@@ -63,7 +60,7 @@ def scatter(
 def inflation(
     drive: Drive, tree: Plan, octaves: Octaves, c: FloatArray, rho: float,
 ) -> float:
-    """Return phi, the mean scatter relative to the information."""
+    """Return phi, the mean scatter relative to the information, at least 0.3."""
     W, _ = whitener(octaves.information(c))
-    return max(_LEAST, *(float(np.trace(middle)) / PARAMETERS for middle in scatter(
+    return max(0.3, *(float(np.trace(middle)) / PARAMETERS for middle in scatter(
         drive, tree, octaves, c, rho, W)))

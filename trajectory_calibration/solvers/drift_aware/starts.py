@@ -28,20 +28,7 @@ from trajectory_calibration.solvers.drift_aware.algebra import (
 )
 from trajectory_calibration.solvers.drift_aware.drive import Drive, State
 
-_LAGS_S = (0.0, 1.0, 2.0, 4.0)
-_MOTIONS = 200
 _REWEIGHTINGS = 6
-
-# Residuals below this share of the motion are regarded as zero.
-_LEAST = 1e-4
-
-# Rotations share an axis if the second singular value is below this share of the first.
-_ONE_AXIS = 0.05
-
-# Another unit is tried if the spreads of both positions differ by more than this (log), and is
-# accepted if it reduces the residuals to this share.
-_SAME_UNIT = 0.3
-_BETTER = 0.25
 
 
 def start(drive: Drive, *, unit_is_known: bool) -> tuple[State, float]:
@@ -52,9 +39,10 @@ def start(drive: Drive, *, unit_is_known: bool) -> tuple[State, float]:
     """
     best, cost = _best(drive)
     unit = 1.0 if unit_is_known else _ratio_of_spreads(drive)
-    if abs(np.log(unit)) > _SAME_UNIT:
+    # By less it may be drift.
+    if abs(np.log(unit)) > 0.3:
         other, its_cost = _best(drive.scaled(unit))
-        if its_cost < cost + np.log(_BETTER):
+        if its_cost < cost + np.log(0.25):
             return other, unit
     return best, 1.0
 
@@ -90,7 +78,7 @@ class _Motions:
 
 def _motions(drive: Drive, lag: int) -> _Motions:
     i = np.arange(len(drive) - lag)
-    i = i[::max(1, len(i) // _MOTIONS)]
+    i = i[::max(1, len(i) // 200)]
     j = i + lag
     back_a, back_b = transposed(drive.R_a[i]), transposed(drive.R_b[i])
     return _Motions(back_a @ drive.R_a[j], apply(back_a, drive.p_a[j] - drive.p_a[i]),
@@ -99,7 +87,7 @@ def _motions(drive: Drive, lag: int) -> _Motions:
 
 def _best(drive: Drive) -> tuple[State, float]:
     """Return the best start, and the logarithm of its median residuals."""
-    lags = sorted({_poses(drive, seconds) for seconds in _LAGS_S})
+    lags = sorted({_poses(drive, seconds) for seconds in (0.0, 1.0, 2.0, 4.0)})
     motions = [_motions(drive, lag) for lag in lags]
     size = float(np.linalg.norm(drive.p_a, axis=1).max()) + 1e-9
     found = [_candidate(one) for one in motions]
@@ -128,7 +116,8 @@ def _candidate(motions: _Motions) -> FloatArray:
         R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
         w = _cauchy_weights(lengths(of_a - of_b @ R.T))
     begun = [from_rotation_translation(R, np.zeros(3))]
-    if values[1] < _ONE_AXIS * values[0]:
+    # The second singular value tells whether the rotations share an axis.
+    if values[1] < 0.05 * values[0]:
         # The translations determine the angle about the axis: four starts.
         turns = exp(0.5 * np.pi * np.arange(4)[:, None] * U[:, 0])
         begun = [from_rotation_translation(turn @ R, np.zeros(3)) for turn in turns]
@@ -158,7 +147,7 @@ def _refined(T_a_b: FloatArray, motions: _Motions, rounds: int) -> FloatArray:
         for part, typical in zip((TRANSLATION, ROTATION), motions.typical, strict=True):
             size = lengths(e[:, part])
             # Bounded, because without noise in one of both the other would be lost to rounding.
-            root.append(np.sqrt(_cauchy_weights(size)) / (median(size) + _LEAST * typical + 1e-9))
+            root.append(np.sqrt(_cauchy_weights(size)) / (median(size) + 1e-4 * typical + 1e-9))
         rows = np.repeat(np.stack(root, axis=1), 3, axis=1).reshape(-1)
         A = J.reshape(-1, 6) * rows[:, None]
         normal = A.T @ A

@@ -56,16 +56,6 @@ from trajectory_calibration.solvers.drift_aware.tree import Contrasts, Plan
 
 # Smallest variance, for noise-free data: (1e-11)^2 metres or radians.
 _LEAST = 1e-22
-# Smallest ratio of the variances of rotation and translation, over the extent of the drive.
-_RATIO = 1e-9
-# Smallest extent of a drive, metres: the sensors may rotate on the spot.
-_SMALLEST_EXTENT = 1e-3
-
-# Weight of the extrapolation from the octave below, in contrasts.
-_PRIOR_CONTRASTS = 24
-
-# Largest change of the white noise in a round, as a factor.
-_LARGEST_CHANGE = 20.0
 
 
 def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]) -> NoiseModel:
@@ -78,10 +68,11 @@ def first_noise(drive: Drive, state: State, octaves: int, cut: NDArray[np.bool_]
 
 def _balanced(white: FloatArray, drive: Drive) -> FloatArray:
     """Return the (2,) variances, bounded so that neither makes the other vanish in rounding."""
-    extent = _SMALLEST_EXTENT**2 + max(
+    # At least a millimetre: the sensors may rotate on the spot.
+    extent = 1e-3**2 + max(
         float((p**2).sum(axis=1).max()) for p in (drive.p_a, drive.p_b))
-    translation = max(white[0], _LEAST, _RATIO * white[1] * extent)
-    return np.array([translation, max(white[1], _LEAST, _RATIO * translation / extent)])
+    translation = max(white[0], _LEAST, 1e-9 * white[1] * extent)
+    return np.array([translation, max(white[1], _LEAST, 1e-9 * translation / extent)])
 
 
 def improved(
@@ -134,8 +125,8 @@ def _improved_white(
     if noise.stamps + step[2] < 0:
         step[2] = -noise.stamps
         step[:2] = solved(information[:2, :2], score[:2] - information[:2, 2] * step[2])
-    white: FloatArray = np.clip(
-        noise.white + step[:2], noise.white / _LARGEST_CHANGE, noise.white * _LARGEST_CHANGE)
+    # A round changes the white noise by no more than a factor.
+    white: FloatArray = np.clip(noise.white + step[:2], noise.white / 20, noise.white * 20)
     return _balanced(white, drive), noise.stamps + float(step[2])
 
 
@@ -163,7 +154,8 @@ def _improved_walk(
             walk[octave] = expected
             continue
         own = information[octave]
-        prior = np.diag(np.diag(own)) * _PRIOR_CONTRASTS / counts[octave]
+        # The extrapolation from the octave below counts for 24 contrasts.
+        prior = np.diag(np.diag(own)) * 24 / counts[octave]
         step = solved(own + prior, score[octave] + prior @ (expected - walk[octave]))
         walk[octave] = np.maximum(walk[octave] + step, 0.0)
     return walk
