@@ -40,9 +40,6 @@ from trajectory_calibration.time_alignment.align import match
 from trajectory_calibration.time_alignment.clock_offset import in_total
 from trajectory_calibration.time_alignment.pairing import association_findings, UNPAIRED_SHARE
 
-# With fewer pairs than this, the association may be the reason for an error.
-_FEW_PAIRS = 30
-
 
 def calibrate(
     trajectory_a: Trajectory,
@@ -163,4 +160,4 @@ def _poorly_matched(summary: AssociationSummary) -> bool:
     """Return whether there are few pairs or many unpaired poses."""
     count = summary.poses_b if summary.stamps_of == 'b' else summary.poses_a
     unpaired = max(summary.in_gaps, summary.outside) / count
-    return summary.pairs < _FEW_PAIRS or unpaired > UNPAIRED_SHARE
+    return summary.pairs < 30 or unpaired > UNPAIRED_SHARE

@@ -19,16 +19,6 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# A slow sensor is repeated if this share of its new rows is between repeated ones, and if the
-# coordinate that changes most often does so in this share of them (rounded values change by
-# angles).
-_ALONE, _TOGETHER = 0.8, 0.9
-_FEWEST_FRESH = 10
-# A pause has more rows than this. A step after it is a jump if it is this many times the median
-# step and the following one.
-_PAUSE = 2
-_JUMP = 5.0
-
 
 def without_held(trajectory: Trajectory) -> tuple[Trajectory, tuple[Finding, ...]]:
     """Return the trajectory without the rows that repeat an old position or orientation.
@@ -72,15 +62,16 @@ def _held(values: FloatArray, steps: FloatArray, same: NDArray[np.bool_]) -> NDA
     after = np.concatenate([repeats[1:], [True]])
     alone = repeats[fresh - 1] & after[fresh]
     changes = np.diff(values[fresh], axis=0) != 0
-    if len(fresh) >= _FEWEST_FRESH and alone[1:-1].mean() > _ALONE and (
-            changes.mean(axis=0).max() > _TOGETHER):
+    # A slow sensor is repeated: most new rows are between repeated ones, and one coordinate
+    # changes in nearly all of them (rounded values change alternately).
+    if len(fresh) >= 10 and alone[1:-1].mean() > 0.8 and changes.mean(axis=0).max() > 0.9:
         return repeats
-    # Pauses that end with a jump.
+    # Pauses that end with a jump: five times the usual step, and the one after it.
     on_its_way = ~same & ~repeats[:-1]
     usual = float(np.median(steps[on_its_way])) if on_its_way.any() else 0.0
     held = np.zeros(len(repeats), dtype=bool)
     following = np.append(steps, 0.0)
-    for k in np.flatnonzero(np.diff(fresh) > _PAUSE):
+    for k in np.flatnonzero(np.diff(fresh) > 2):
         last, row = fresh[k], fresh[k + 1]
-        held[last + 1:row] = steps[row - 1] > _JUMP * max(usual, following[row])
+        held[last + 1:row] = steps[row - 1] > 5 * max(usual, following[row])
     return held

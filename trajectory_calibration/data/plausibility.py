@@ -17,39 +17,23 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Median speed, m/s, above any ground vehicle and almost any drone.
-_FASTEST = 100.0
-
-# Lag of the speed, nanoseconds: over shorter ones noise dominates.
-_SPEED_SPAN_NS = 1_000_000_000
-
-# Plausible median steps, seconds, and the longest one after conversion to seconds.
-_SHORTEST_STEP, _LONGEST_STEP = 1e-5, 10.0
-_USUAL_STEP = 1.0
-# Fewer poses may be single captures at standstill.
-_CAPTURES = 30
-
-# Units and their divisors to seconds, and the largest ratio of the rates of two sensors.
+# Units and their divisors to seconds.
 _UNITS = (('milliseconds', '1000'), ('microseconds', '1e6'), ('nanoseconds', '1e9'))
-_RATES = 10.0
 
-# Units of length per metre, and the tolerance of a scale (a SLAM is off by some per cent).
+# Units of length per metre.
 _SMALL_UNITS = (('feet', 1 / 0.3048), ('inches', 1 / 0.0254), ('centimetres', 100.0),
                 ('millimetres', 1000.0))
-_LIKE_A_UNIT = 0.03
-
-# An identity pose is no measurement if its neighbours are this many steps from the origin.
-_FAR_STEPS = 5.0
 
 
 def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the stamps if the steps are implausible."""
     step = trajectory.usual_step_ns * 1e-9
-    if len(trajectory) < _CAPTURES or _SHORTEST_STEP <= step <= _LONGEST_STEP:
+    # Fewer poses may be captures, one at each place where the sensors stood still.
+    if len(trajectory) < 30 or 1e-5 <= step <= 10:
         return ()
     unit, divisor = next(
-        (item for item in _UNITS if step / float(item[1]) <= _USUAL_STEP), _UNITS[-1])
-    question = ('days? Then multiply them by 86400' if step < _SHORTEST_STEP else
+        (item for item in _UNITS if step / float(item[1]) <= 1), _UNITS[-1])
+    question = ('days? Then multiply them by 86400' if step < 1e-5 else
                 f'{unit}? Then divide them by {divisor}; --time-unit reads them')
     return (Finding(
         'time-unit', f'{trajectory.sensor_frame}: the median step between its poses is '
@@ -58,12 +42,14 @@ def time_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
 
 def position_doubts(trajectory: Trajectory) -> tuple[Finding, ...]:
     """Return a question about the unit of the positions if the speed is implausible."""
-    every = min(trajectory.poses_in(_SPEED_SPAN_NS), len(trajectory) - 1)
+    # Over a second: over shorter lags noise dominates.
+    every = min(trajectory.poses_in(1_000_000_000), len(trajectory) - 1)
     way = np.linalg.norm(
         trajectory.positions[every:] - trajectory.positions[:-every], axis=1)
     time_s = (trajectory.stamps_ns[every:] - trajectory.stamps_ns[:-every]) * 1e-9
     speed = float(np.median(way / time_s))
-    if speed <= _FASTEST:
+    # No ground vehicle, and hardly a drone, is faster than that.
+    if speed <= 100:
         return ()
     return (Finding(
         'length-unit',
@@ -78,7 +64,8 @@ def unit_doubts(scale: float, frame: str) -> tuple[Finding, ...]:
     of b does no harm.
     """
     for unit, per_metre in _SMALL_UNITS:
-        if abs(scale / per_metre - 1) < _LIKE_A_UNIT:
+        # A SLAM is off by some per cent.
+        if abs(scale / per_metre - 1) < 0.03:
             return (Finding(
                 'length-unit',
                 f'{frame}: its lengths are {scale:.4g} times those of b: are its positions in '
@@ -101,7 +88,8 @@ def doubts_of_both(a: Trajectory, b: Trajectory) -> tuple[Finding, ...]:
     short, long_ = sorted((a, b), key=lambda trajectory: trajectory.usual_step_ns)
     factor = long_.usual_step_ns / short.usual_step_ns
     for unit, divisor in _UNITS:
-        if 1 / _RATES < factor / float(divisor) < _RATES:
+        # Rates of sensors differ by less than ten times.
+        if 0.1 < factor / float(divisor) < 10:
             return (Finding(
                 'time-unit',
                 f'the median step is {short.usual_step_ns * 1e-9:.3g} s in {short.sensor_frame} '
@@ -128,7 +116,7 @@ def lost_as_identity(poses: FloatArray) -> NDArray[np.bool_]:
     steps = np.linalg.norm(np.diff(place[~found], axis=0), axis=1)
     if not (found.any() and len(steps)):
         return lost
-    far = np.linalg.norm(place, axis=1) > _FAR_STEPS * float(np.median(steps))
+    far = np.linalg.norm(place, axis=1) > 5 * float(np.median(steps))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
     for first, end in edges.reshape(-1, 2).tolist():
         lost[first:end] = far[first - 1] and (end == len(poses) or far[end])

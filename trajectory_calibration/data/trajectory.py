@@ -32,9 +32,6 @@ MAX_POSITION = 1e9
 # No two clocks differ by more than this (s/s): daemons that steer a clock stop at 5e-4.
 LARGEST_DRIFT = 1e-3
 
-# A recording restarts where time goes back by more than this (ns), in parts of so many poses.
-_ANEW_NS, _FEWEST_OF_A_PART = 1_000_000_000, 10
-
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -228,10 +225,6 @@ class Trajectory:
         return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
 
 
-# Digits of the checksum of one trajectory.
-_DIGITS = 16
-
-
 def recording_of(*trajectories: Trajectory) -> str:
     """Return a checksum of all stamps and poses; the frame names do not matter."""
     return ''.join(f'{crc32(np.ascontiguousarray(values).data):08x}' for trajectory in trajectories
@@ -240,7 +233,7 @@ def recording_of(*trajectories: Trajectory) -> str:
 
 def recordings_in(recording: str) -> tuple[str, ...]:
     """Split the ``recording_of`` several trajectories into those of each."""
-    return tuple(recording[k:k + _DIGITS] for k in range(0, len(recording), _DIGITS))
+    return tuple(recording[k:k + 16] for k in range(0, len(recording), 16))
 
 
 def pose_faults(
@@ -277,15 +270,17 @@ def longest_run(stamps_ns: NDArray[np.int64]) -> slice:
     """Return the longest part of (N,) stamps if there are several recordings that overlap in time.
 
     Two recordings in one file, or a restarted simulation: sorted by time, the poses of both would
-    alternate. The whole range if rows are only out of order.
+    alternate. The whole range if rows are only out of order: by less than a second, or in parts of
+    fewer than 10 poses.
     """
-    edges = np.flatnonzero(np.diff(stamps_ns) < -_ANEW_NS) + 1
+    anew_ns = 1_000_000_000
+    edges = np.flatnonzero(np.diff(stamps_ns) < -anew_ns) + 1
     starts, ends = np.append(0, edges), np.append(edges, len(stamps_ns))
-    if not len(edges) or (ends - starts).min() < _FEWEST_OF_A_PART:
+    if not len(edges) or (ends - starts).min() < 10:
         return slice(None)
     order = np.argsort(stamps_ns[starts], kind='stable')
     overlap = stamps_ns[ends - 1][order][:-1] - stamps_ns[starts][order][1:]
-    if overlap.max() < _ANEW_NS:
+    if overlap.max() < anew_ns:
         return slice(None)
     longest = int(np.argmax(ends - starts))
     return slice(int(starts[longest]), int(ends[longest]))

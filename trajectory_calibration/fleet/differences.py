@@ -22,15 +22,6 @@ from trajectory_calibration.geometry.se3 import FloatArray
 # In the order of a covariance, as sentences need them.
 AXES = ('along x', 'along y', 'along z', 'about x', 'about y', 'about z')
 
-# A standard deviation below this is a prior that fixes a component: metres, radians.
-_LEAST = 1e-6
-
-# Where a rotation is unobserved, the other axes turn with what it happens to be.
-_GAUGE_STEPS = 10
-
-# Where a resolution is stated, 95 % of shifts are to be noticed: the normal quantile of it.
-_POWER = quantile(1, 0.1)**0.5
-
 
 @dataclass(frozen=True, eq=False)
 class Difference:
@@ -115,9 +106,11 @@ def difference(
     differs = bool(alone.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
     order = np.argsort(-np.abs(step) / std)
     named = tuple(int(k) for k in order if alone[k]) or tuple(map(int, order[:1]))
+    # As resolution is stated what would be noticed in 95 % of cases.
+    power = quantile(1, 0.1)**0.5
     return Difference(
         step, std, chi_squared, max(dof, 1), testable, testable & (std > weak_limit),
-        (limit + _POWER) * std, differs, named)
+        (limit + power) * std, differs, named)
 
 
 def aligned_step(
@@ -129,7 +122,8 @@ def aligned_step(
     """
     unobserved = unobserved_directions(covariance, limits)
     step = se3.step_between(T_0, T_1)
-    for _ in range(_GAUGE_STEPS):
+    # The other axes turn with what an unobserved rotation happens to be.
+    for _ in range(10):
         way = along(unobserved, step, limits)
         if np.abs(way / limits).max() < 1e-9:
             break
@@ -140,7 +134,7 @@ def aligned_step(
 
 def floored(covariance: FloatArray) -> FloatArray:
     """Return a (6, 6) covariance that has an inverse, also where a prior fixes a component."""
-    return covariance + _LEAST**2 * np.eye(6)
+    return covariance + se3.ROUNDING * np.eye(6)
 
 
 def in_units(name: str, values: FloatArray) -> dict[str, list[float]]:

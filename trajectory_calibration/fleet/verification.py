@@ -35,9 +35,6 @@ _EXIT_STATUS = {HOLDS: DONE, CANNOT_TELL: INCOMPLETE, MOVED: CHANGED}
 # Of an axis: not known before, so that there is nothing to verify.
 NOT_KNOWN = 'not in the result'
 
-# With fewer known directions an extrinsic resembles the inverse of another one by chance.
-_FEWEST_DIRECTIONS = 2
-
 # Findings of data whose answer confirms nothing and contradicts nothing.
 _NO_EVIDENCE = {'orientations-identical', 'poses-identical', 'worlds-differ'}
 
@@ -199,10 +196,10 @@ def _is_inverse(
     old: tuple[FloatArray, FloatArray], new: tuple[FloatArray, FloatArray],
     config: CalibrationConfig,
 ) -> bool:
-    """Tell whether the inverse of the old extrinsic fits, in directions enough to say so."""
+    """Tell whether the inverse of the old extrinsic fits; a single direction may by chance."""
     J = se3.inverse_step(old[0])
     step = difference((se3.inverse(old[0]), J @ old[1] @ J.T), new, config)
-    return step.degrees_of_freedom >= _FEWEST_DIRECTIONS and not step.differs
+    return step.degrees_of_freedom > 1 and not step.differs
 
 
 def _needs(observability: Observability) -> str:

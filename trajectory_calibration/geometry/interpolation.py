@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# A neighbour is used up to this rotation (radians).
-_LARGEST_NEIGHBOUR_ROTATION = np.pi / 2
-
 # A change of the twist beyond this many medians over so many poses around is a jump of a SLAM. The
 # cubic would carry a sixteenth of a jump into the next interval, too little to be excluded later.
 # White noise reaches four medians by chance.
@@ -90,7 +87,7 @@ def _on_cubic(
         known[:, [0, 3]] &= np.diff(stamps_ns[around], axis=1)[:, [0, 2]] <= max_gap_ns
     origin = se3.inverse(result)
     tangents = np.stack([se3.log_se3(origin @ poses[k]) for k in around.T], axis=1)
-    known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= _LARGEST_NEIGHBOUR_ROTATION
+    known &= np.linalg.norm(tangents[..., 3:], axis=-1) <= np.pi / 2
     known[:, 0] &= ~jumps[around[:, 1]]
     known[:, 3] &= ~jumps[around[:, 2]]
     weights = _lagrange((stamps_ns[around] - at_ns[:, None]) * 1e-9, known)

@@ -14,9 +14,6 @@ import numpy as np
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Rounding of a variance, relative to that of the limits.
-_ROUNDING = 1e-16
-
 
 def misfit(error: FloatArray, V: FloatArray, limits: FloatArray) -> tuple[float, int]:
     """Return chi-squared of (n,) errors along observed directions, and its degrees of freedom.
@@ -34,7 +31,7 @@ def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
     unit = np.tile(limits, len(V) // len(limits))
     values, vectors = np.linalg.eigh(0.5 * (V + V.T) / np.outer(unit, unit))
     known = values < 1.0
-    floor = _ROUNDING * max(float(values[-1]), 1.0)
+    floor = np.finfo(float).eps * max(float(values[-1]), 1.0)
     rows: FloatArray = (vectors[:, known] / np.sqrt(np.maximum(values[known], floor))).T / unit
     return rows
 

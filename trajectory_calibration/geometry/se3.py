@@ -21,10 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Below this angle (radians) the closed forms lose digits to cancellation and the Taylor series,
-# cut after the terms kept below, is exact to machine precision.
-_SMALL_ANGLE = 1e-2
-
 # Beyond this angle (radians) rotation vectors are not used: near 180 deg noise may flip the axis.
 LARGEST_ROTATION = 2.6
 
@@ -207,7 +203,9 @@ def left_jacobian_so3_inverse(rotation_vectors: ArrayLike) -> FloatArray:
 def _squared_angle(phi: FloatArray) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Return (...) squared lengths, where they are small, and one in place of those."""
     a2 = np.einsum('...i,...i->...', phi, phi)
-    small = a2 < _SMALL_ANGLE**2
+    # There the closed forms lose digits to cancellation; the Taylor series, cut after the terms
+    # that are kept, is exact to machine precision.
+    small = a2 < 1e-2**2
     return a2, small, np.where(small, 1.0, a2)
 
 

@@ -22,9 +22,6 @@ from trajectory_calibration.result import CalibrationResult
 # Seconds of motion of both sensors below which no calibration is tried.
 FEWEST_S = 5
 
-# A standard deviation so many times its limit is no number worth naming.
-_HOPELESS = 100.0
-
 
 @dataclass(frozen=True, eq=False)
 class Advice:
@@ -61,7 +58,8 @@ class Advice:
         name = DEGREES_OF_FREEDOM[worst]
         direction = f'{"translation along" if worst < 3 else "rotation about"} {name[-1]}'
         limit, unit = (translation_limit, 'm') if worst < 3 else (rotation_limit_deg, 'deg')
-        unobserved = name in result.observability.unobserved or ratios[worst] > _HOPELESS
+        # Beyond a hundred times its limit it is no number worth naming.
+        unobserved = name in result.observability.unobserved or ratios[worst] > 100
         known = ('is unobserved' if unobserved else
                  f'has a standard deviation of {std[worst]:.2g} {unit}')
         return (f'{_manoeuvre(worst, result)}: {direction} of {result.frame_a} {known}, '

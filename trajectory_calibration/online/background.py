@@ -20,15 +20,9 @@ from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.verification import Monitor, MonitorJob, MonitorVerdict
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 
-# Share of one core that all of it may take in the long run, and CPU seconds that may be spent
-# at once where less was used before: a drive begins with many short calibrations.
-CPU_SHARE = 0.03
+# CPU seconds that may be spent at once where less was used before: a drive begins with many short
+# calibrations.
 CPU_CREDIT_S = 10.0
-
-# A new advice is due after this share of more motion than the last one had, and not more often
-# than this, seconds.
-_MORE_MOTION = 0.15
-_SHORTEST_PAUSE_S = 2.0
 
 
 class Budget:
@@ -39,7 +33,8 @@ class Budget:
 
     def allows(self, now_s: float) -> bool:
         """Return whether something may be spent now."""
-        earned = CPU_SHARE * (now_s - self._at_s)
+        # Of one core, in the long run.
+        earned = 0.03 * (now_s - self._at_s)
         self._credit_s, self._at_s = min(self._credit_s + earned, CPU_CREDIT_S), now_s
         return self._credit_s > 0.0
 
@@ -75,11 +70,11 @@ class Background:
             # What was advised before is about other poses.
             self.advice, self._advised = None, NO_MOTION
         if (self._process.busy or not self._budget.allows(now_s)
-                or now_s - self._ended_s < _SHORTEST_PAUSE_S):
+                or now_s - self._ended_s < 2):
             return
-        more = motion.since(self._advised) >= max(1.0, _MORE_MOTION * len(self._advised))
         job: AdviceJob | MonitorJob | None
-        if len(motion) >= FEWEST_S and (more or settings != self._settings):
+        if len(motion) >= FEWEST_S and (
+                motion.is_news_after(self._advised) or settings != self._settings):
             self._advised, self._settings = motion, settings
             track_a, track_b = self._session.tracks(frames)
             job = AdviceJob(track_a, track_b, config)

@@ -30,11 +30,6 @@ from trajectory_calibration.online.snapshot import Snapshot
 JUMP_NS = 5_000_000_000
 # So many poses in a row must agree before a jump of the clock, or other frames, are believed.
 CONFIRMATIONS = 3
-# And they must go on for so long: at 200 Hz three poses are over in 10 ms, which a receiver that
-# starts anew fills with wrong stamps.
-CONFIRMATION_NS = 1_000_000_000
-
-_FIRST_ALLOCATION = 1024
 
 # Names of the world frame and of the sensor frame; empty where a message has none.
 Frames = tuple[str, str]
@@ -302,9 +297,11 @@ class PoseBuffer:
 
     def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:
         """Return whether poses in a row that contradict what is held are to be believed."""
-        # Of a clock that hardly moves no more are held back than a buffer keeps.
+        # And go on for a second: at 200 Hz three poses are over in 10 ms, which a receiver that
+        # starts anew fills with wrong stamps. Of a clock that hardly moves no more are held back
+        # than a buffer keeps.
         return len(row) >= self._limits.max_poses or (
-            len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= CONFIRMATION_NS)
+            len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= 1_000_000_000)
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
         if self._stands(stamp_ns, pose):
@@ -346,7 +343,7 @@ class PoseBuffer:
         With room for twice ``max_poses`` the move happens once in ``max_poses`` poses.
         """
         count = len(self)
-        size = min(max(2 * count, _FIRST_ALLOCATION), 2 * self._limits.max_poses)
+        size = min(max(2 * count, 1024), 2 * self._limits.max_poses)
         stamps, poses = np.empty(size, np.int64), np.empty((size, 7))
         stamps[:count], poses[:count] = (
             array[self._start:self._end] for array in (self._stamps, self._poses))

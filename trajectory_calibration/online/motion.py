@@ -37,6 +37,13 @@ class Motion:
             return len(self)
         return len(self) - int(np.searchsorted(self.seconds, earlier.seconds[-1], 'right'))
 
+    def is_news_after(self, earlier: Motion) -> bool:
+        """Return whether a calibration of an earlier state may say something else of this one.
+
+        After a fifth more motion, or where a buffer began anew.
+        """
+        return not self.continues(earlier) or self.since(earlier) > 0.2 * len(earlier)
+
     def continues(self, earlier: Motion) -> bool:
         """Return whether an earlier state is the past of this one, no buffer having begun anew."""
         return self.forgotten == earlier.forgotten and (

@@ -29,12 +29,6 @@ from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.pairing import associate
 
-# More poses than a person can tell apart only slow the display down.
-_MOST_POSES = 2000
-# How much more motion, of that which it had, there must be before a calibration that failed says
-# nothing about the next one: its message leaves the diagnostics, and auto_calibrate tries again.
-_MORE_MOTION = 0.2
-
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
@@ -53,7 +47,8 @@ class Overlay:
 def make_overlay(a: Trajectory, b: Trajectory, result: CalibrationResult) -> Overlay:
     """Lay the tracks of a calibration over each other."""
     pairs = associate(a, corrected_b(result, b), result.config)
-    pairs = pairs.thinned(-(-len(pairs) // _MOST_POSES))
+    # More poses than a person can tell apart only slow the display down.
+    pairs = pairs.thinned(-(-len(pairs) // 2000))
     poses_a, poses_b = pairs.poses_a, pairs.poses_b @ se3.inverse(result.T_a_b)
     return Overlay(a.world_frame, pairs.stamps_ns, poses_a,
                    se3.registration(poses_a, poses_b) @ poses_b)
@@ -169,9 +164,8 @@ class CalibrationState:
         self._tried = NO_MOTION
 
     def has_moved_on(self, motion: Motion) -> bool:
-        """Return whether the data differ much from those of the last calibration."""
-        return not motion.continues(self._tried) or (
-            motion.since(self._tried) > _MORE_MOTION * len(self._tried))
+        """Return whether what the last calibration said is old: another may succeed."""
+        return motion.is_news_after(self._tried)
 
     def time_offset_s(self, setting_s: float) -> float:
         """Return the clock offset that was found since the last reset, or else the setting."""

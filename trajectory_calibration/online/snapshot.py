@@ -14,10 +14,8 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.errors import counted, TrajectoryError
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# A track of more poses is thinned, but never to longer steps than this: what lies between two
-# poses is interpolated, and the clock offset is found from what remains.
+# A track of more poses is thinned.
 _MANY_POSES = 20_000
-_LONGEST_STEP_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,9 @@ class Snapshot:
         if count <= _MANY_POSES:
             return self
         usual_ns = max(int(np.median(np.diff(self.stamps_ns))), 1)
-        stride = min(count // _MANY_POSES, _LONGEST_STEP_NS // usual_ns)
+        # Never to steps beyond 0.1 s: what lies between two poses is interpolated, and the clock
+        # offset is found from what remains.
+        stride = min(count // _MANY_POSES, 100_000_000 // usual_ns)
         return self if stride < 2 else self._picked(slice(None, None, stride))
 
     def after(self, stamp_ns: int) -> Snapshot:

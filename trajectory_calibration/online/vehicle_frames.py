@@ -27,9 +27,6 @@ from trajectory_calibration.outputs.frame_tree import between, TreeEdge, upwards
 # Of more frames, as of each object that is tracked, those that moved longest ago are forgotten.
 _MOST_FRAMES = 1000
 
-# Transforms of this difference, metres and radians, are one that was published twice.
-_SAME = 1e-9
-
 
 class Carrier(NamedTuple):
     """Which transform carries an extrinsic, if any may, and why it is another than a -> b."""
@@ -62,7 +59,7 @@ class VehicleFrames:
             return
         if static and any(
                 (edge.parent, edge.child) == (own.parent, own.child)
-                and np.abs(T_parent_child - own.T_parent_child).max() < _SAME
+                and np.abs(T_parent_child - own.T_parent_child).max() < 1e-9
                 for own in self._published):
             return
         before = self._edges.get(edge.child)

@@ -18,13 +18,6 @@ from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.result import CalibrationResult
 
-# So many checks in a row must find that it moved before that is an error and no warning; both
-# are numbers of diagnostic_msgs/DiagnosticStatus.
-_CONFIRMED = 2
-
-# With fewer new poses of a sensor nothing can be told.
-_FEWEST_POSES = 30
-
 
 @dataclass(frozen=True)
 class MonitorVerdict:
@@ -38,8 +31,11 @@ class MonitorVerdict:
 
     @property
     def level(self) -> int:
-        """Return 0 (OK), 1 (WARN: moved once) or 2 (ERROR: moved, confirmed)."""
-        return min(self.checks, _CONFIRMED)
+        """Return 0 (OK), 1 (WARN: moved once) or 2 (ERROR: moved, confirmed).
+
+        The numbers are those of diagnostic_msgs/DiagnosticStatus.
+        """
+        return min(self.checks, 2)
 
     def following(self, before: MonitorVerdict | None) -> MonitorVerdict:
         """Return this verdict after an earlier one: poor motion neither confirms nor denies."""
@@ -101,8 +97,8 @@ class Monitor:
                 stamp if stamp <= end_ns else first_ns for stamp in before_ns)
             starts_ns.append(max(begin_ns, end_ns - self._window_ns))
             ends_ns.append(end_ns)
-            if np.count_nonzero(
-                    buffer.stamps_ns > max(starts_ns[-1], seen_ns)) < _FEWEST_POSES:
+            # With so few new poses of a sensor nothing can be told.
+            if np.count_nonzero(buffer.stamps_ns > max(starts_ns[-1], seen_ns)) < 30:
                 return None
         self._checked_s, self._last_ns = now_s, ends_ns
         track_a, track_b = (track.after(start_ns) for track, start_ns in zip(

@@ -28,12 +28,6 @@ from trajectory_calibration.errors import CalibrationError, missing_package, Sol
 Answer = TypeVar('Answer')
 Answer_co = TypeVar('Answer_co', covariant=True)
 
-# The solver gives way to whatever else the vehicle's computer has to do.
-_NICENESS = 10
-
-# Of the prctl of Linux.
-_PR_SET_PDEATHSIG = 1
-
 # The process knows the node's, and finds every module where the node found it.
 _BOOTSTRAP = f"""
 import sys
@@ -171,12 +165,14 @@ def main(node: int) -> int:
     """Read a job, run it, write its outcome; end with the process ``node``, however that ends."""
     if sys.platform == 'linux':
         # A node that is killed stops nothing, and a session of its own hears of no terminal.
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        pr_set_pdeathsig = 1
+        ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
     if os.getppid() != node:
         # It went before that took effect.
         sys.stderr.write(f'no calibration: the node, process {node}, has gone\n')
         return 1
-    os.nice(_NICENESS)
+    # The solver gives way to whatever else the vehicle's computer has to do.
+    os.nice(10)
     # Solvers written in C print where they like; the answer alone goes to the pipe.
     reply = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

@@ -23,8 +23,6 @@ OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 
 # A topic without a message for so long is reported as silent, seconds.
 _SILENT_S = 5.0
-# Poses that were forgotten are reported for so long, seconds.
-_RECENT_S = 60.0
 
 
 class InputMonitor:
@@ -120,7 +118,8 @@ class InputMonitor:
         if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
             why = self._buffer.refusals() or 'the stamps jumped'
             return f'no pose accepted for {now_s - self._useless_since_s:.0f} s: {why}'
-        if self._buffer.forgotten and now_s - self._lost_s < _RECENT_S:
+        # Poses that were forgotten are reported for a minute.
+        if self._buffer.forgotten and now_s - self._lost_s < 60:
             return self._loss
         return topic.doubt and f'{self.rate_hz:.1f} Hz from {topic.doubt}'
 

@@ -23,9 +23,6 @@ from trajectory_calibration.sources.cdr import parse_poses, TF
 from trajectory_calibration.sources.edges import matrices
 from trajectory_calibration.sources.transforms import ChainFollower
 
-# How long the node listens before it publishes on /tf_static: discovery takes up to 3 seconds.
-_LISTEN_S = 4.0
-
 # As tf2's own listener and broadcaster have it.
 _STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -107,7 +104,8 @@ class VehicleTransforms:
         if self._publisher is None:
             return
         error = self._node.get_logger().error
-        if self._waiting and time.monotonic() - self._since_s >= _LISTEN_S:
+        # Discovery takes up to 3 seconds.
+        if self._waiting and time.monotonic() - self._since_s >= 4:
             (result, invented), self._waiting = self._waiting, None
             edge, reason = self._frames.place(
                 result.frame_a, result.frame_b, result.T_a_b, invented)

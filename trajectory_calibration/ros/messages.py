@@ -53,9 +53,6 @@ LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
-# Metres.
-_LINE_WIDTH, _TEXT_HEIGHT = 0.01, 0.5
-
 
 class ResultPublisher:
     """Publishes results of one node; what goes to TF is another matter, see ``frames``."""
@@ -149,13 +146,13 @@ def _to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> Mar
     ends = np.stack([overlay.poses_a[:, :3, 3], overlay.poses_b[:, :3, 3]], axis=1)
     apart = np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1)))
     lines = Marker(header=header, ns='disagreement', type=Marker.LINE_LIST)
-    lines.scale.x = _LINE_WIDTH
+    lines.scale.x = 0.01
     lines.color = ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.9)
     lines.points = [Point(x=x, y=y, z=z) for x, y, z in ends.reshape(-1, 3).tolist()]
     text = Marker(header=header, ns='answer', type=Marker.TEXT_VIEW_FACING)
     x, y, z = ends[0, 0].tolist()
-    text.pose.position = Point(x=x, y=y, z=z + 2 * _TEXT_HEIGHT)
-    text.scale.z = _TEXT_HEIGHT
+    text.pose.position = Point(x=x, y=y, z=z + 1)
+    text.scale.z = 0.5
     text.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
     text.text = f'{result.frame_a} -> {result.frame_b}: tracks {apart:.3f} m apart (rms)'
     return MarkerArray(markers=[lines, text])

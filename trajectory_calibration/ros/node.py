@@ -52,13 +52,10 @@ from trajectory_calibration.time_alignment.pairing import is_sparser
 
 NODE_NAME = 'trajectory_calibration'
 
-# How often the graph is searched for publishers, and how often the log speaks of bad poses.
-_WATCH_S = 0.2
+# How often the log speaks of bad poses.
 _REFUSAL_LOG_S = 10.0
-# When the log first says which topics are waited for, and how often it says so again.
-_WAITING_LOG_S, _WAITING_AGAIN_S = 3.0, 30.0
-# How long the end waits for the answer to a caller.
-_FAREWELL_S = 0.5
+# How often the log says which topics are waited for.
+_WAITING_AGAIN_S = 30.0
 
 
 class CalibrationNode(Node):
@@ -102,7 +99,8 @@ class CalibrationNode(Node):
             for side, buffer, name in zip(
                 'ab', self._session.buffers, self._session.names, strict=True)]
         self._refusals_logged_s = 0.0
-        self._waiting_logged_s = started_s - _WAITING_AGAIN_S + _WAITING_LOG_S
+        # For the first time after 3 seconds.
+        self._waiting_logged_s = started_s - _WAITING_AGAIN_S + 3
 
         self._state = CalibrationState()
         self._solved = self.create_guard_condition(self._on_solved)
@@ -128,7 +126,7 @@ class CalibrationNode(Node):
             self.create_service(Trigger, f'~/{name}', callback, callback_group=group)
         # Steady: with use_sim_time the node's own clock stands still until a bag plays.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_WATCH_S, self._watch, clock=steady)
+        self.create_timer(0.2, self._watch, clock=steady)
         self.create_timer(values['diagnostic_updater.period'], self._report, clock=steady)
         self._restored = self._find_restored() if values['restore'] else None
         self._offer_restored()
@@ -151,7 +149,7 @@ class CalibrationNode(Node):
     def take_leave(self, executor: SingleThreadedExecutor) -> None:
         """Stop a running calibration and answer its caller."""
         self._solver.cancel('stopped: the node is shutting down')
-        deadline_s = time.monotonic() + _FAREWELL_S
+        deadline_s = time.monotonic() + 0.5
         while self._called and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=0.05)
 

@@ -19,12 +19,6 @@ from trajectory_calibration.simulation.paths import flat, hills, Unicycle, Wande
 # A day in 2023, so that stamps are as long as real ones.
 START_NS = 1_700_000_000_000_000_000
 
-# Seconds by which a clock may be off: stamps stay those of a message, 32 bits from 0 up.
-_CLOCK_OFFSET = (-1_700_000_000, 400_000_000)
-
-# Translations of the extrinsic and between the worlds are uniform in plus or minus this, metres.
-_REACH = 0.5
-
 # Poses of one sensor: two days at 100 hertz, some gigabytes of memory.
 _MOST_POSES = 20_000_000
 
@@ -57,7 +51,8 @@ class Sensor:
     def __post_init__(self) -> None:
         if not 0 < self.rate <= 1e6:
             raise ConfigError(f'rate is {self.rate}, needed above 0 and up to 1e6 hertz')
-        low, high = _CLOCK_OFFSET
+        # Stamps stay those of a message, 32 bits from 0 up.
+        low, high = -1_700_000_000, 400_000_000
         if not low <= self.clock_offset <= high:
             raise ConfigError(
                 f'clock offset is {self.clock_offset}, needed {low} to {high} s')
@@ -134,7 +129,7 @@ def random_pose(rng: np.random.Generator) -> FloatArray:
     quaternion = rng.standard_normal(4)
     return se3.from_rotation_translation(
         se3.quaternion_to_rotation(quaternion / np.linalg.norm(quaternion)),
-        rng.uniform(-_REACH, _REACH, 3))
+        rng.uniform(-0.5, 0.5, 3))
 
 
 def _count(duration: float, rate: float) -> int:
