@@ -16,6 +16,7 @@ from trajectory_calibration.config.settings import CalibrationConfig
 from trajectory_calibration.data.motion_pairs import select_motions
 from trajectory_calibration.errors import CalibrationError, MotionError, SolverError
 from trajectory_calibration.geometry import se3
+from trajectory_calibration.geometry.chi_squared import quantile
 from trajectory_calibration.simulation import SCENARIOS, simulate
 from trajectory_calibration.solvers import load_solver
 from trajectory_calibration.solvers.drift_aware.diagnosis import findings_of
@@ -413,6 +414,17 @@ def test_a_fit_that_did_not_settle_says_so(monkeypatch):
     (finding,) = solve_pairs(pairs, FIXED).findings
     assert finding.code == 'not-converged'
     assert 'the solver did not converge in 1 iteration: the last step was' in finding.text
+
+
+def test_terms_are_findings_at_the_false_alarm_probability():
+    pairs, _ = simulated(14, poses=600, white=(0.01, 0.005), walk=(0.01, 0.002))
+    diagnosis = replace(
+        solve_pairs(pairs, AUTO).diagnosis, systematic_drift=(0.0,) * 3, time_offset_s=0.0,
+        latency_s=0.0, scale_deviation=0.01, jumps=())
+    for factor, codes in ((0.99, []), (1.01, ['scale'])):
+        scale = 1.0 + factor * 0.01 * quantile(1)**0.5
+        found = findings_of(replace(diagnosis, scale=scale), 0)
+        assert [finding.code for finding in found] == codes
 
 
 @pytest.mark.statistical
