@@ -146,9 +146,9 @@ def _copy(plot: Plot, axes: Any) -> None:
     if plot.log_y:
         axes.set_yscale('log')
     axes.set(xlim=plot.x, ylim=plot.y)
-    for given, put in ((plot.x_ticks, axes.set_xticks), (plot.y_ticks, axes.set_yticks)):
-        if given is not None:
-            put([value for value, _ in given], [words for _, words in given])
+    for ticks, put in ((plot.x_ticks, axes.set_xticks), (plot.y_ticks, axes.set_yticks)):
+        put([value for value, _ in ticks], [words for _, words in ticks])
+    axes.minorticks_off()
     axes.set_xlabel(plot.x_label, fontsize=8)
     axes.set_ylabel(plot.y_label, fontsize=8)
     axes.tick_params(labelsize=8)

@@ -25,58 +25,57 @@ _REACH_S, _WINDOW_S = 0.5, 0.2
 class Clocks:
     """When the two sensors turned, and when they have poses.
 
-    Rates, (P,) degrees a second, NaN in gaps, at ``seconds`` from the start, of the part with the
-    most turning; ``correlation``, (L,), of the rotations with ``offsets_s`` added to the stamps of
-    b on top of the answer; spans, (S, 2) seconds from the start with poses and no gap.
+    ``rates`` of a and b, (2, P) degrees a second, NaN in gaps, at ``seconds`` from the start, of
+    the part with the most turning; ``correlation``, (L,), of the rotations with ``offsets_s``
+    added to the stamps of b on top of the answer; ``spans`` of a and b, (S, 2) seconds from the
+    start with poses and no gap.
     """
 
     seconds: FloatArray
-    rate_a: FloatArray
-    rate_b: FloatArray
+    rates: FloatArray
     offsets_s: FloatArray
     correlation: FloatArray
-    spans_a: FloatArray
-    spans_b: FloatArray
+    spans: list[FloatArray]
     duration_s: float
 
 
 def compare_clocks(a: Trajectory, b: Trajectory) -> Clocks:
     """Compare two trajectories whose stamps are in one clock."""
+    both = a, b
     start = int(min(a.stamps_ns[0], b.stamps_ns[0]))
-    end = int(max(a.stamps_ns[-1], b.stamps_ns[-1]))
+    times = [(item.stamps_ns - start).astype(np.float64) * 1e-9 for item in both]
     usual_s = max(a.usual_step_ns, b.usual_step_ns) * 1e-9
-    window_s = max(_WINDOW_S, 2 * usual_s)
-    seconds = _busiest(a, b, start)
+    seconds = _busiest(both, times)
     return Clocks(
-        seconds, _rate(a, seconds, start, window_s), _rate(b, seconds, start, window_s),
-        *_correlate(a, b, usual_s), _spans(a, start), _spans(b, start), (end - start) * 1e-9)
+        seconds, np.array([_rate(item, own, seconds, max(_WINDOW_S, 2 * usual_s))
+                           for item, own in zip(both, times, strict=True)]),
+        *_correlate(a, b, usual_s),
+        # From the first pose of each stretch without a gap to its last.
+        [np.column_stack([own[np.append(True, item.gaps)], own[np.append(item.gaps, True)]])
+         for item, own in zip(both, times, strict=True)], max(own[-1] for own in times))
 
 
-def _seconds(trajectory: Trajectory, start: int) -> FloatArray:
-    return (trajectory.stamps_ns - start).astype(np.float64) * 1e-9
-
-
-def _busiest(a: Trajectory, b: Trajectory, start: int) -> FloatArray:
+def _busiest(both: tuple[Trajectory, Trajectory], times: list[FloatArray]) -> FloatArray:
     """Return times of the part of the common time in which both turned most."""
-    times_a, times_b = _seconds(a, start), _seconds(b, start)
-    low, high = max(times_a[0], times_b[0]), min(times_a[-1], times_b[-1])
+    low, high = max(own[0] for own in times), min(own[-1] for own in times)
     if high <= low:
-        low, high = times_a[0], times_a[-1]
+        low, high = times[0][0], times[0][-1]
     length = min(_PART_S, high - low)
     begins = np.linspace(low, high - length, 200)
     turned = []
-    for trajectory, times in ((a, times_a), (b, times_b)):
+    for trajectory, own in zip(both, times, strict=True):
         # A rotation in a gap of one cannot be compared.
         angle = np.where(trajectory.gaps, 0.0, np.linalg.norm(trajectory.turns, axis=1))
         total = np.concatenate([[0.0], np.cumsum(angle)])
-        turned.append(np.interp(begins + length, times, total) - np.interp(begins, times, total))
+        turned.append(np.interp(begins + length, own, total) - np.interp(begins, own, total))
     begin = begins[np.argmax(np.minimum(*turned))]
     return np.linspace(begin, begin + length, _POINTS)
 
 
-def _rate(trajectory: Trajectory, seconds: FloatArray, start: int, window_s: float) -> FloatArray:
+def _rate(
+    trajectory: Trajectory, times: FloatArray, seconds: FloatArray, window_s: float,
+) -> FloatArray:
     """Return (P,) degrees a second, by the angle over a window around each time."""
-    times = _seconds(trajectory, start)
     first = np.clip(np.searchsorted(times, seconds - window_s / 2), 0, len(times) - 2)
     last = np.clip(np.searchsorted(times, seconds + window_s / 2), first + 1, len(times) - 1)
     R, took = trajectory.rotations, times[last] - times[first]
@@ -94,9 +93,3 @@ def _correlate(a: Trajectory, b: Trajectory, usual_s: float) -> tuple[FloatArray
         return np.zeros(0), np.zeros(0)
     found = correlate(a, b, reach_s, 1e9 * reach_s / _LAGS)
     return found.lags.astype(np.float64) * (found.cell_ns * 1e-9), found.correlation
-
-
-def _spans(trajectory: Trajectory, start: int) -> FloatArray:
-    """Return (S, 2) seconds without a gap."""
-    times, gaps = _seconds(trajectory, start), trajectory.gaps
-    return np.column_stack([times[np.append(True, gaps)], times[np.append(gaps, True)]])

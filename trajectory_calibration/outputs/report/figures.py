@@ -208,7 +208,7 @@ class Mark(NamedTuple):
 class Plot:
     """One pair of axes and what is drawn on it, in its numbers; ``svg`` returns the picture.
 
-    ``x`` and ``y`` are limits, ``x_ticks`` and ``y_ticks`` places and words, None for round
+    ``x`` and ``y`` are limits, ``x_ticks`` and ``y_ticks`` places and words, by default of round
     numbers; ``marks`` is what is drawn, the lowest first.
     """
 
@@ -219,7 +219,8 @@ class Plot:
     ) -> None:
         self.x, self.y, self.log_y, self._height = x, y, log_y, height
         self.x_label, self.y_label = x_label, y_label
-        self.x_ticks, self.y_ticks = x_ticks, y_ticks
+        self.x_ticks = x_ticks or _labelled(ticks(*x))
+        self.y_ticks = y_ticks or _labelled(log_ticks(*y) if log_y else ticks(*y))
         self.marks: list[Mark] = []
 
     def line(self, x: ArrayLike, y: ArrayLike, style: str) -> None:
@@ -281,12 +282,11 @@ class Plot:
             return np.column_stack([_scaled(x, self.x, (_LEFT, right)),
                                     _scaled(y, self.y, (bottom, _TOP), log=self.log_y)])
 
-        y_ticks = log_ticks(*self.y) if self.log_y else ticks(*self.y)
-        for value, words in _labelled(y_ticks) if self.y_ticks is None else self.y_ticks:
+        for value, words in self.y_ticks:
             ends = place(self.x, [value, value])
             canvas.path(ends, 'gridline')
             canvas.text(_LEFT - 6, ends[0, 1] + 4, words, 'end', '')
-        for value, words in _labelled(ticks(*self.x)) if self.x_ticks is None else self.x_ticks:
+        for value, words in self.x_ticks:
             for k, line in enumerate(words.split('\n')):
                 canvas.text(place(value, self.y[0])[0, 0], bottom + 15 + 13 * k, line, 'middle',
                             '')

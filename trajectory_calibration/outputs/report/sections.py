@@ -250,7 +250,7 @@ def clock_figures(data: ReportData) -> list[Figure]:
         plot.line(clocks.offsets_s, clocks.correlation, 'line-a')
         figures.append(Figure(
             'offset', plot, f'Highest correlation {clocks.correlation[best]:.3f}, {where}.'))
-    gaps = len(clocks.spans_a) + len(clocks.spans_b) - 2
+    gaps = sum(len(spans) - 1 for spans in clocks.spans)
     figures.append(Figure(
         'times', gap_strip(clocks),
         f'{counted(gaps, "gap")}; {result.poses:,} pose pairs of {result.association.poses_a:,} '
@@ -270,10 +270,10 @@ def clock_figures(data: ReportData) -> list[Figure]:
 
 def rates(clocks: Clocks) -> Plot:
     """Draw the angular rates of both over each other."""
-    plot = Plot((clocks.seconds[0], clocks.seconds[-1]), from_zero(clocks.rate_a, clocks.rate_b),
+    plot = Plot((clocks.seconds[0], clocks.seconds[-1]), from_zero(clocks.rates),
                 x_label='time, s', y_label='deg/s')
-    plot.line(clocks.seconds, clocks.rate_b, 'line-b wide')
-    plot.line(clocks.seconds, clocks.rate_a, 'line-a')
+    for rate, style in zip(clocks.rates[::-1], ('line-b wide', 'line-a'), strict=True):
+        plot.line(clocks.seconds, rate, style)
     return plot
 
 
@@ -281,7 +281,7 @@ def gap_strip(clocks: Clocks) -> Plot:
     """Draw when each sensor has poses."""
     plot = Plot((0.0, clocks.duration_s), (-0.5, 1.5), height=110, x_label='time, s',
                 y_ticks=[(1, 'a'), (0, 'b')])
-    for row, spans, style in ((1, clocks.spans_a, 'fill-a'), (0, clocks.spans_b, 'fill-b')):
+    for row, spans, style in zip((1, 0), clocks.spans, ('fill-a', 'fill-b'), strict=True):
         for start, end in spans[:400]:
             # A single pose is seen, too.
             end_ = max(end, start + clocks.duration_s / WIDTH)
