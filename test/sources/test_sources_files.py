@@ -353,14 +353,27 @@ def test_fields_without_a_number_are_poses_that_were_lost(tmp_path, word):
     assert trajectory.findings[0].code == 'poses-lost'
 
 
-@pytest.mark.parametrize(('heading', 'words'), [
-    ('t,x,y,z,qx,qy,qz,qw\n', r"line 2, column 1: '2024-05-01T10:00:00' is a date, needed sec"),
-    ('', r'column 1 is no number \(a date\? Write seconds')])
-def test_dates_in_place_of_times_are_named(tmp_path, heading, words):
+NAMES = 't,x,y,z,qx,qy,qz,qw'
+
+
+@pytest.mark.parametrize('written', ['{}', '{}Z', '{}+00:00'])
+def test_dates_serve_as_times(tmp_path, track, written):
+    stamps_ns, poses = track
+    rows = [f'{written.format(np.datetime64(int(stamp), "ns"))},{",".join(map(repr, pose))}'
+            for stamp, pose in zip(stamps_ns, poses.tolist(), strict=True)]
+    path = _write(tmp_path / 'a.csv', [NAMES, *rows, ',0,0,0,0,0,0,1'])
+    assert np.array_equal(FileSource(path).load().stamps_ns, stamps_ns)
+    path = _write(path, rows)
+    with pytest.raises(SourceError, match=r'column 1 is no number \(a date\? Then it is t\)'):
+        FileSource(path).load()
+    _expect(FileSource(path, columns=NAMES).load(), track)
+
+
+def test_times_of_day_are_no_dates(tmp_path):
     path = tmp_path / 'a.csv'
-    path.write_text(heading + ''.join(
-        f'2024-05-01T10:00:0{k},{k},0,0,0,0,0,1\n' for k in range(5)), encoding='utf-8')
-    with pytest.raises(SourceError, match=words):
+    path.write_text('t,x,y,z,qx,qy,qz,qw\n' + ''.join(
+        f'10:00:0{k},{k},0,0,0,0,0,1\n' for k in range(5)), encoding='utf-8')
+    with pytest.raises(SourceError, match="line 2, column 1: '10:00:00' is no time: seconds"):
         FileSource(path).load()
 
 

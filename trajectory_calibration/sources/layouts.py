@@ -200,7 +200,7 @@ def from_numbers(
         # What is wrong with a row of it is a better message than that nothing fits.
         return _USUAL[width].ordered(order)
     if not fitting:
-        hint = ': column 1 is no number (a date? Write seconds since 1970)' if np.isnan(
+        hint = ': column 1 is no number (a date? Then it is t)' if np.isnan(
             sample[:, 0]).all() else _HINTS.get(width, '')
         if '--columns' not in hint:
             hint += f'; say what they are, for instance --columns {_TUM} (- skips a column)'

@@ -105,6 +105,16 @@ def is_number(word: str) -> bool:
     return word.isascii() and '_' not in word
 
 
+def read_dates(words: list[str]) -> NDArray[np.datetime64] | None:
+    """Return (N,) dates, those without a zone in UTC, NaT where one is missing; None of others."""
+    dates = ['NaT' if word.strip().lower() in {'nan', *_MISSING} else
+             re.sub(r'\s*(Z|\+00:?00)$', '', word.strip()) for word in words]
+    if not any(map(is_number, dates)):
+        with suppress(ValueError):
+            return np.array(dates, dtype='datetime64[ns]')
+    return None
+
+
 def _times(words: list[str], exponent: int, column: int) -> tuple[
         NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return numbers times 10^exponent, rounded half to even, and what ``Numbers`` has of them."""
@@ -120,11 +130,15 @@ def _times(words: list[str], exponent: int, column: int) -> tuple[
         stamps = whole.astype(np.uint64) @ powers * np.uint64(10 ** (exponent - fraction))
         if stamps.max() <= _INT64_MAX:
             return stamps.astype(np.int64), np.full(len(words), fraction), finite, exact
+    if not all(map(is_number, words)) and (dates := read_dates(words)) is not None:
+        finite = ~np.isnat(dates)
+        return np.where(finite, dates.astype(np.int64), 0), np.zeros(
+            len(words), dtype=np.intp), finite, exact
     from decimal import Decimal
     scaled, places = [0] * len(words), np.zeros(len(words), dtype=np.intp)
     for row, word in enumerate(words):
         if not is_number(word):
-            raise NotANumberError(row, column, 'is a date, needed seconds (since 1970)'
+            raise NotANumberError(row, column, 'is no time: seconds (since 1970), or a whole date'
                                   if _CLOCK.search(word) else 'is no number')
         # Not finite, or an exponent that no decimal has.
         finite[row] = False

@@ -17,6 +17,7 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.sources.layouts import TIME_UNITS
+from trajectory_calibration.sources.numbers import read_dates
 from trajectory_calibration.sources.text import read_text, Table
 
 # Times above these cannot be in the units before: since 1970, and no drive lasts 3000 years.
@@ -95,10 +96,8 @@ def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]
     lines = [line.strip() for line in read_text(path).split('\n')]
     lines = [line for line in lines if line and not line.startswith(('#', '%'))]
     if lines and re.match(r'\d{4}-\d\d-\d\d[ T]', lines[0]):
-        try:
-            dates = np.array([line[:29] for line in lines], dtype='datetime64[ns]')
-        except ValueError as error:
-            raise SourceError(f'{path} holds dates that cannot be read: {error}') from error
+        if (dates := read_dates([line[:29] for line in lines])) is None:
+            raise SourceError(f'{path} holds dates that cannot be read')
         return dates.astype(np.int64), np.isnat(dates)
     rows = [re.split(r'[,;\s]+', line, maxsplit=2) for line in lines]
     if rows and not re.match(r'[-+.\d]|nan$', rows[0][0]):
