@@ -179,7 +179,7 @@ def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
 
 @pytest.mark.parametrize('option', [
     ['--columns', 't,x,y,z,qw,qx,qy,qz'], ['--quaternion-order-b', 'wxyz'], ['--invert-a'],
-    ['--format-b', 'tum'], ['--times-a', 'x'], ['--frame-a', 'x']])
+    ['--file-format-b', 'tum'], ['--times-a', 'x'], ['--frame-a', 'x']])
 def test_how_a_sensor_is_read_stands_in_the_description(mounts, tmp_path, capsys, option):
     rig(*mounts).save(tmp_path / 'rig.yaml')
     assert main(['verify', str(tmp_path / 'rig.yaml'), 'RIG.yaml', *option]) == 2

@@ -25,7 +25,8 @@ _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
     ('quaternion-order', {'choices': QUATERNION_ORDERS,
                           'help': 'order of the four numbers of a quaternion'}),
     ('time-unit', {'choices': TIME_UNITS, 'help': 'unit of the times'}),
-    ('file-format', {'choices': FORMATS, 'help': 'format of the files (default: detected)'}),
+    ('file-format', {'choices': FORMATS, 'metavar': 'FORMAT', 'help': 'format of the files '
+                     f'(default: detected): {", ".join(FORMATS)}'}),
     ('invert', {'action': 'store_true',
                 'help': 'the files hold poses of the world in the sensor; invert them'}),
 )
