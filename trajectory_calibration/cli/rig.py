@@ -30,12 +30,7 @@ from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import recording_of, Trajectory
 from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.fleet.comparison import short_names
-from trajectory_calibration.outputs.comparison_table import (
-    rig_to_data,
-    rig_to_text,
-    rigs_to_csv,
-    rigs_to_data,
-)
+from trajectory_calibration.outputs.comparison_table import csv_text, rig_to_data, rig_to_text
 from trajectory_calibration.outputs.exports import EXPORT_FILES
 from trajectory_calibration.outputs.placement import kept_back
 from trajectory_calibration.outputs.rig_exports import (
@@ -277,7 +272,9 @@ def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
     first, *others = map(RigResult.load, paths)
     found = [(name, compare_rigs(first, other))
              for name, other in zip(names, others, strict=True)]
-    table, data = rigs_to_csv(found), json.dumps(rigs_to_data(found, against)) + '\n'
+    rows = [{'rig': name, 'against': against, **rig_to_data(one)} for name, one in found]
+    table = csv_text([{'rig': item['rig'], **row} for item in rows for row in item['sensors']])
+    data = json.dumps(rows) + '\n'
     text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}' for name, one in found)
     print_table({'text': text, 'csv': table, 'json': data}[arguments.format],
                 zip(RIG_TABLES, (table, data), strict=True), arguments)

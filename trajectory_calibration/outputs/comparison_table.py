@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import csv
 import io
 import json
@@ -86,18 +86,6 @@ def rig_to_text(found: RigComparison) -> str:
                      f'{_verdict(found, item)}{f" ({unknown} not compared)" if unknown else ""}')
     lines += [f'  {name:<14}{"not compared":>18}' for name in found.missing]
     return '\n'.join(lines) + '\n'
-
-
-def rigs_to_csv(found: Iterable[tuple[str, RigComparison]]) -> str:
-    """Return one row for each sensor of named rigs, the units in the names of the columns."""
-    return csv_text([{'rig': name, **row} for name, one in found for row in _rows(one)])
-
-
-def rigs_to_data(
-    found: Iterable[tuple[str, RigComparison]], against: str,
-) -> list[dict[str, Any]]:
-    """Return plain data of named rigs that were compared with one, ready for JSON."""
-    return [{'rig': name, 'against': against, **rig_to_data(one)} for name, one in found]
 
 
 def rig_to_data(found: RigComparison) -> dict[str, Any]:
