@@ -305,6 +305,7 @@ def test_any_bytes_give_a_named_error(tmp_path, content, file_format):
           suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 2**31), st.integers(1, 4))
 @example(2795, 2)
+@example(470, 1)
 def test_flipped_bytes_give_a_trajectory_or_a_named_error(tmp_path, seed, flips):
     path = tmp_path / 'a.txt'
     data = bytearray('\n'.join(_tum_rows(*make_track(5))).encode())

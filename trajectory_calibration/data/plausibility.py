@@ -113,10 +113,12 @@ def lost_as_identity(poses: FloatArray) -> NDArray[np.bool_]:
     # At the beginning the identity is the origin of the trajectory.
     found[:np.argmin(found)] = False
     place = poses[:, :3] if poses.ndim == 2 else poses[:, :3, 3]
-    steps = np.linalg.norm(np.diff(place[~found], axis=0), axis=1)
-    if not (found.any() and len(steps)):
+    if not found.any() or found.sum() > len(found) - 2:
         return lost
-    far = np.linalg.norm(place, axis=1) > 5 * float(np.median(steps))
+    # A damaged row may lie at 1e303.
+    with np.errstate(over='ignore'):
+        steps = np.linalg.norm(np.diff(place[~found], axis=0), axis=1)
+        far = np.linalg.norm(place, axis=1) > 5 * float(np.median(steps))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
     for first, end in edges.reshape(-1, 2).tolist():
         lost[first:end] = far[first - 1] and (end == len(poses) or far[end])
