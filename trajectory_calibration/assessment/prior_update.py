@@ -65,7 +65,7 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
     what, check = 'prior', (
         'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
         'shows the rotation, about two axes')
-    # If it is mostly about unobservable axes, the prior contradicts nothing that is known.
+    # If it is mostly about unobserved axes, the prior contradicts nothing that is known.
     if np.linalg.norm(axes.T @ rotation) > 0.7 * np.linalg.norm(rotation):
         # The translation belongs to a rotation that is arbitrary.
         check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
