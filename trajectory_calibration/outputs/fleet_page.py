@@ -10,12 +10,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM, UNOBSERVED, WEAK
+from trajectory_calibration.assessment.observability import (
+    DEGREES_OF_FREEDOM,
+    OBSERVED,
+    UNOBSERVED,
+    WEAK,
+)
 from trajectory_calibration.errors import counted
 from trajectory_calibration.fleet.comparison import Comparison, Entry
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import NAMES, TO_DEGREES, unit_of
+from trajectory_calibration.outputs.answer import NAMES, Row, TO_DEGREES, unit_of
 from trajectory_calibration.outputs.comparison_table import cells_of
 from trajectory_calibration.outputs.report.figures import limits, Plot
 from trajectory_calibration.outputs.report.page import (
@@ -86,7 +91,8 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
             plot.line([left, right], [mean, mean], 'mean')
             if n:
                 plot.vertical(left, 'change')
-            reading.append(f'{mean:.3f} ± {mean_std[n][k]:#.2g} {unit}')
+            row = Row(name, mean, mean_std[n][k], unit, OBSERVED, 0.0, 0.0)
+            reading.append(f'{row} {unit}'.replace('+-', '±'))
         for i in known:
             plot.error_bar(
                 places[i], values[i, k], std[i, k],
