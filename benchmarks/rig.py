@@ -232,9 +232,9 @@ def real(folder: Path) -> None:
         rig = calibrate_rig({name: tracks[name] for name in three}, config)
         worst = max((pair.chi_squared for pair in rig.pairs if np.isfinite(pair.chi_squared)),
                     default=np.nan)
-        print(f'{", ".join(three)}: chi-squared {rig.chi_squared:.1f} of '
-              f'{rig.degrees_of_freedom}, p {rig.p_value:.2g}, worst pair {worst / 6:.1f} a '
-              f'degree, {[(item.sensor, item.kind) for item in rig.contradictions]}, '
+        print(f'{", ".join(three)}: chi-squared {rig.chi_squared:.1f} of {rig.degrees}, '
+              f'p {rig.p_value:.2g}, worst pair {worst / 6:.1f} a degree, '
+              f'{[(item.sensor, item.kind) for item in rig.contradictions]}, '
               f'{time.perf_counter() - start:.1f} s')
         for name in rig.free:
             sensor = rig.sensors[name]

@@ -38,7 +38,7 @@ def test_the_same_extrinsic_holds(saved):
     assert 'm along x' in found.describe_resolution()
     data = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert data['sentence'] == 'holds'
-    assert data['difference']['p_value'] > 1e-3
+    assert data['difference']['probability'] > 1e-3
 
 
 @pytest.mark.parametrize('step, words', [

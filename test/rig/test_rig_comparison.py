@@ -57,7 +57,7 @@ def test_a_rig_that_holds(mounts):
     for _ in range(60):
         found = compare_rigs(rig(X, rng), rig(X, rng))
         alarms += not found.holds
-        ratio.append(found.chi_squared / found.degrees_of_freedom)
+        ratio.append(found.chi_squared / found.degrees)
     assert alarms <= 1
     assert 0.85 < np.mean(ratio) < 1.15
 

@@ -68,7 +68,7 @@ def test_exact_answers_give_the_rig_and_loops_close(sensors):
     fused = fuse(start, pairs, answers, C)
     np.testing.assert_allclose(fused.X, X, atol=1e-12)
     assert fused.chi_squared < 1e-12
-    assert fused.degrees_of_freedom == 6 * (len(pairs) - sensors + 1)
+    assert fused.degrees == 6 * (len(pairs) - sensors + 1)
 
 
 def test_loops_of_noisy_answers_close_exactly():
@@ -198,7 +198,7 @@ def test_a_doubted_sensor_has_no_say_about_the_others():
     fused = fuse(X, pairs, answers, C, trusted=trusted)
     np.testing.assert_allclose(fused.X[[1, 3]], X[[1, 3]], atol=1e-6)
     assert fused.chi_squared < 1e-6
-    assert fused.degrees_of_freedom == 6
+    assert fused.degrees == 6
 
 
 def test_numbers_are_consistent_round_loops():

@@ -107,7 +107,7 @@ class Comparison:
         return CHANGED if self.changes or not self.stretches else DONE
 
     @property
-    def p_value(self) -> float:
+    def probability(self) -> float:
         """Return the probability that answers of one truth scatter as much."""
         return exceedance(self.chi_squared, self.degrees_of_freedom)
 
@@ -152,7 +152,7 @@ class Comparison:
             'sentences': self.describe(),
             'chi_squared': self.chi_squared,
             'degrees_of_freedom': self.degrees_of_freedom,
-            'p_value': self.p_value,
+            'probability': self.probability,
             'noise_ratio': self.noise_ratio,
             'changes': [
                 {'before': before, 'after': after, **change.to_dict()}

@@ -37,7 +37,7 @@ class Difference:
     weak : (6,) bool, of those, the ones along which only a large shift is noticed.
     resolution : (6,) metres and radians, the shift along each axis that is noticed in 95 % of
         the cases.
-    differs : whether chance does not explain the step, at the probability that was given.
+    differs : whether chance explains the step, at the probability that was given.
     named : the axes that show it, the clearest first.
 
     """
@@ -58,7 +58,7 @@ class Difference:
         return float(np.max(np.abs(self.step) / self.std))
 
     @property
-    def p_value(self) -> float:
+    def probability(self) -> float:
         """Return the probability that chance alone makes a step of this chi-squared."""
         return exceedance(self.chi_squared, self.degrees_of_freedom)
 
@@ -73,7 +73,7 @@ class Difference:
             **in_units('std_', self.std),
             'chi_squared': self.chi_squared,
             'degrees_of_freedom': self.degrees_of_freedom,
-            'p_value': self.p_value,
+            'probability': self.probability,
             'sigma': self.sigma,
             'axes': [AXES[k] for k in self.named],
         }

@@ -82,7 +82,7 @@ def rig_to_text(found: RigComparison) -> str:
         unknown = ', '.join(np.array(DEGREES_OF_FREEDOM)[np.isnan(item.std)])
         lines.append(f'  {item.sensor:<14}{f"{1e3 * t:.1f} +- {1e3 * s_t:.1f}":>18}'
                      f'{f"{R:.3f} +- {s_R:.3f}":>18}'
-                     f'{f"{item.chi_squared:.1f} of {item.degrees_of_freedom}":>16}  '
+                     f'{f"{item.chi_squared:.1f} of {item.degrees}":>16}  '
                      f'{_verdict(found, item)}{f" ({unknown} not compared)" if unknown else ""}')
     lines += [f'  {name:<14}{"not compared":>18}' for name in found.missing]
     return '\n'.join(lines) + '\n'
@@ -94,7 +94,7 @@ def rig_to_data(found: RigComparison) -> dict[str, Any]:
         'holds': None if found.same_recording else found.holds,
         'same_recording': found.same_recording, 'base': found.base, 'sensors': _rows(found),
         'moved': [item.sensor for item in found.changes], 'not_compared': list(found.missing),
-        'chi_squared': found.chi_squared, 'degrees_of_freedom': found.degrees_of_freedom,
+        'chi_squared': found.chi_squared, 'degrees_of_freedom': found.degrees,
         'p_value': found.p_value}
 
 
@@ -108,7 +108,7 @@ def _rows(found: RigComparison) -> list[dict[str, str | float | int | None]]:
             for kind, values in (('d', item.step), ('std_', item.std)):
                 known = np.isfinite(values[k])
                 row[kind + name] = float(TO_DEGREES[k] * values[k]) if known else None
-        row.update(chi_squared=item.chi_squared, degrees_of_freedom=item.degrees_of_freedom,
+        row.update(chi_squared=item.chi_squared, degrees_of_freedom=item.degrees,
                    p_value=item.p_value)
         rows.append(row)
     return rows
@@ -118,5 +118,5 @@ def _verdict(found: RigComparison, item: Change) -> str:
     moved = {change.sensor for change in found.changes}
     if item.sensor in moved:
         return 'moved'
-    return ('cannot tell' if found.same_recording or not item.degrees_of_freedom else
+    return ('cannot tell' if found.same_recording or not item.degrees else
             'as the base moved' if found.base in moved else 'holds')

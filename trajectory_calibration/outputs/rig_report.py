@@ -111,9 +111,7 @@ def _misfits(rig: RigResult) -> Figure:
         known = pair.std < limits_of(rig.config.calibration)
         (t, R), (s_t, s_R) = sizes(pair.residual * known), sizes(pair.std * known)
         rows.append((
-            name,
-            '–' if not pair.degrees_of_freedom else
-            f'{pair.chi_squared / pair.degrees_of_freedom:.1f}',
+            name, f'{pair.chi_squared / pair.degrees:.1f}' if pair.degrees else '–',
             f'{1e3 * t:.1f} +- {1e3 * s_t:.1f} mm' if s_t else 'unknown',
             f'{R:.3f} +- {s_R:.3f} deg' if s_R else 'unknown',
             f'{pair.poses:,}', 'yes' if pair.used else 'no'))

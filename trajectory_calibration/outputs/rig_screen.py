@@ -49,7 +49,7 @@ def format_rig(
         lines += ['', *(f'  error of {name} against the ground truth: ' + error_words(
             rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
             for name in rig.free if name in truth)]
-    if rig.degrees_of_freedom:
+    if rig.degrees:
         lines += ['', loops_text(rig)]
     lines += finding_lines(rig.findings, terminal, None if verbose else _MOST_FINDINGS)
     if verbose:
@@ -62,11 +62,11 @@ def format_rig(
 
 def loops_text(rig: RigResult) -> str:
     """Return whether the loops close within the standard deviations."""
-    if not rig.degrees_of_freedom:
+    if not rig.degrees:
         return 'no loop checks the answer'
     verdict = 'disagree:' if rig.p_value < FALSE_ALARM else 'close with'
-    return (f'loops {verdict} chi-squared {rig.chi_squared:.1f} of {rig.degrees_of_freedom} '
-            f'degrees of freedom (p = {rig.p_value:.2g})')
+    return (f'loops {verdict} chi-squared {rig.chi_squared:.1f} of {rig.degrees} degrees of '
+            f'freedom (p = {rig.p_value:.2g})')
 
 
 def sensor_rows(rig: RigResult, sensor: SensorAnswer) -> tuple[Row, ...]:

@@ -170,7 +170,7 @@ def _of_two(
                       poses=result.poses)
     return RigResult(
         base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
-        contradictions=(), chi_squared=0.0, degrees_of_freedom=0, p_value=1.0,
+        contradictions=(), chi_squared=0.0, degrees=0, p_value=1.0,
         findings=tuple(
             replace(found, text=in_rig_words(found.text, base, other))
             for found in result.findings), config=config)
@@ -198,7 +198,7 @@ def _of_answers(
     contradictions = [*unconnected(groups, failures),
                       *(item for part in parts for item in part.contradictions)]
     chi_squared, degrees = (sum(part.chi_squared for part in parts),
-                            sum(part.degrees_of_freedom for part in parts))
+                            sum(part.degrees for part in parts))
     p_value = exceedance(chi_squared, degrees)
     of_parts = [found for part in parts for found in part.findings]
     return RigResult(
@@ -207,7 +207,7 @@ def _of_answers(
         free=tuple(name for part in parts for name in part.free),
         pairs=(*(PairReport(pair.parent, pair.child, pair.reason, used=False)
                  for pair in failures), *(pair for part in parts for pair in part.pairs)),
-        contradictions=tuple(contradictions), chi_squared=chi_squared, degrees_of_freedom=degrees,
+        contradictions=tuple(contradictions), chi_squared=chi_squared, degrees=degrees,
         p_value=p_value,
         findings=worst_first((
             *_findings(sensors, groups, contradictions, p_value), *of_parts[:1],
@@ -247,8 +247,7 @@ def _solve_group(
         PairReport(
             pair.parent, pair.child, residual=fused.residuals[p],
             std=np.sqrt(np.diagonal(tree.C[p, :, p])),
-            chi_squared=float(fused.pair_chi_squared[p]),
-            degrees_of_freedom=int(fused.pair_degrees[p]),
+            chi_squared=float(fused.pair_chi_squared[p]), degrees=int(fused.pair_degrees[p]),
             poses=pair.result.poses, used=not doubted & {*tree.ends[p]})
         for p, pair in enumerate(answers))
     return RigResult(
@@ -256,8 +255,8 @@ def _solve_group(
         free=tuple(group[k] for k in kept), pairs=reports,
         contradictions=tuple(
             replace(item, left_out=item.sensor in left_out) for item in contradictions),
-        chi_squared=without.chi_squared, degrees_of_freedom=without.degrees_of_freedom,
-        p_value=exceedance(without.chi_squared, without.degrees_of_freedom),
+        chi_squared=without.chi_squared, degrees=without.degrees,
+        p_value=exceedance(without.chi_squared, without.degrees),
         findings=(_ASSUMED,) if tree.noise is None and len(answers) > 1 else (), config=config)
 
 

@@ -28,7 +28,7 @@ class Change:
     sensor : its name.
     step, std : (6,), from the old pose in the base to the new one, order as a covariance; of the
         base itself, about the base. NaN of components that the drives leave unobserved.
-    chi_squared, degrees_of_freedom, p_value : of no change, along what both drives observe.
+    chi_squared, degrees, p_value : of no change, along what both drives observe.
 
     """
 
@@ -36,13 +36,12 @@ class Change:
     step: FloatArray
     std: FloatArray
     chi_squared: float
-    degrees_of_freedom: int
+    degrees: int
     p_value: float
 
     def __str__(self) -> str:
         return (f'{self.sensor} moved by {describe_size(self.step)} '
-                f'(chi-squared {self.chi_squared:.1f} of {self.degrees_of_freedom}, '
-                f'p = {self.p_value:.1g})')
+                f'(chi-squared {self.chi_squared:.1f} of {self.degrees}, p = {self.p_value:.1g})')
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class RigComparison:
         it moved.
     missing : that the new rig does not have.
     changes : sensors that moved, the largest first.
-    chi_squared, degrees_of_freedom, p_value : of no change at all.
+    chi_squared, degrees, p_value : of no change at all.
     same_recording : whether both rigs hold one trajectory: they share its errors and tell nothing.
 
     """
@@ -66,7 +65,7 @@ class RigComparison:
     missing: tuple[str, ...]
     changes: tuple[Change, ...]
     chi_squared: float
-    degrees_of_freedom: int
+    degrees: int
     p_value: float
     same_recording: bool = False
 
@@ -79,14 +78,14 @@ class RigComparison:
     def whole(self) -> bool:
         """Tell whether every sensor was compared, in some direction at least."""
         return not (self.same_recording or self.missing) and all(
-            item.degrees_of_freedom for item in self.sensors)
+            item.degrees for item in self.sensors)
 
     def __str__(self) -> str:
         if self.same_recording:
             return ('cannot tell: both rigs are of one recording, and share its errors; compare '
                     'rigs of different drives')
         verdict = '; '.join(map(str, self.changes)) or (
-            f'the rig holds (chi-squared {self.chi_squared:.1f} of {self.degrees_of_freedom}, '
+            f'the rig holds (chi-squared {self.chi_squared:.1f} of {self.degrees}, '
             f'p = {self.p_value:.2g})')
         return verdict + (f'; not compared: {", ".join(self.missing)}' if self.missing else '')
 

@@ -88,7 +88,7 @@ def _worst_in_loops(
 ) -> tuple[int | None, Contradiction] | None:
     """Return the sensor without which the loops close best, where they do not close."""
     now = tree.fuse(doubted=doubted)
-    p_now = exceedance(now.chi_squared, now.degrees_of_freedom)
+    p_now = exceedance(now.chi_squared, now.degrees)
     if p_now >= FALSE_ALARM:
         return None
     left = [k for k in range(len(tree.names)) if k not in doubted]
@@ -96,17 +96,16 @@ def _worst_in_loops(
     for k in left:
         rest = tree.fuse(doubted=doubted | {k})
         # Without the culprit the others agree; of three, nobody is left to agree.
-        if rest.degrees_of_freedom > 0:
+        if rest.degrees > 0:
             tried.append((
-                exceedance(rest.chi_squared, rest.degrees_of_freedom),
-                now.chi_squared - rest.chi_squared,
-                now.degrees_of_freedom - rest.degrees_of_freedom, k))
+                exceedance(rest.chi_squared, rest.degrees),
+                now.chi_squared - rest.chi_squared, now.degrees - rest.degrees, k))
     if not tried:
         names = ', '.join(tree.names[k] for k in left)
         return None, Contradiction(
             tree.names[left[0]], 'loops', f'the pairs of {names} contradict each other, and of '
             'three sensors the wrong one cannot be named: add a sensor, or check all',
-            now.chi_squared, now.degrees_of_freedom, p_now)
+            now.chi_squared, now.degrees, p_now)
     p_rest, gain, degrees, k = max(tried, key=lambda item: item[:2])
     return k, Contradiction(
         tree.names[k], 'loops', f'the pairs of {tree.names[k]} contradict those of the others '

@@ -53,7 +53,7 @@ class Fused:
     residuals : (P, 6), what each pair answered less what the rig has.
     pair_chi_squared, pair_degrees : (P,), of these residuals along what both the pair and the
         others observe; NaN of a pair that no other pair checks.
-    chi_squared, degrees_of_freedom : of all loops together, along what is observed.
+    chi_squared, degrees : of all loops together, along what is observed.
 
     """
 
@@ -63,7 +63,7 @@ class Fused:
     pair_chi_squared: FloatArray
     pair_degrees: FloatArray
     chi_squared: float
-    degrees_of_freedom: int
+    degrees: int
 
 
 def fuse(

@@ -83,8 +83,8 @@ class PairReport:
     failure : why there is no answer, or empty.
     residual : (6,), its answer less the rig's, order as a covariance; NaN without an answer.
     std : (6,), what the pair states.
-    chi_squared, degrees_of_freedom : of the residual, along what is observed; NaN where no other
-        pair checks it.
+    chi_squared, degrees : of the residual, along what is observed; NaN where no other pair checks
+        it.
     poses : pairs of poses.
     used : whether it has part in the answer.
 
@@ -96,21 +96,21 @@ class PairReport:
     residual: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     std: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
     chi_squared: float = float('nan')
-    degrees_of_freedom: int = 0
+    degrees: int = 0
     poses: int = 0
     used: bool = True
 
     @property
     def p_value(self) -> float:
         """Return how often chance alone exceeds the chi-squared; 1 where nothing checks it."""
-        return exceedance(self.chi_squared, self.degrees_of_freedom)
+        return exceedance(self.chi_squared, self.degrees)
 
     @property
     def words(self) -> str:
         """Return what came of the pair, in a few words."""
         return self.failure or (
-            f'chi-squared {self.chi_squared:.1f} of {self.degrees_of_freedom}'
-            if self.degrees_of_freedom else 'no other pair checks it')
+            f'chi-squared {self.chi_squared:.1f} of {self.degrees}' if self.degrees else
+            'no other pair checks it')
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class Contradiction:
     sensor : its name.
     kind : 'moved', 'clock', 'loops', 'vehicle', 'prior' or 'time'.
     text : what was found, and what to do.
-    chi_squared, degrees_of_freedom, p_value : of the test, where there is one.
+    chi_squared, degrees, p_value : of the test, where there is one.
     left_out : whether the sensor is not part of the answer.
 
     """
@@ -131,7 +131,7 @@ class Contradiction:
     kind: str
     text: str
     chi_squared: float | None = None
-    degrees_of_freedom: int | None = None
+    degrees: int | None = None
     p_value: float | None = None
     left_out: bool = False
 
@@ -148,7 +148,7 @@ class RigResult:
     free : (M,) names of the sensors that are no root of a tree.
     pairs : every pair that was tried.
     contradictions : sensors that do not fit, the worst first.
-    chi_squared, degrees_of_freedom, p_value : of all loops.
+    chi_squared, degrees, p_value : of all loops.
     findings : what a person or a program should know, worst first.
     config : the settings.
     recordings : ``recording_of`` each trajectory; another rig shares errors that shares one. Empty
@@ -164,7 +164,7 @@ class RigResult:
     pairs: tuple[PairReport, ...]
     contradictions: tuple[Contradiction, ...]
     chi_squared: float
-    degrees_of_freedom: int
+    degrees: int
     p_value: float
     findings: tuple[Finding, ...]
     config: RigConfig
@@ -229,7 +229,7 @@ class RigResult:
             'covariance_of': list(self.free),
             'covariance': self.covariance.tolist(),
             'chi_squared': self.chi_squared,
-            'degrees_of_freedom': self.degrees_of_freedom,
+            'degrees_of_freedom': self.degrees,
             'p_value': self.p_value,
             'pairs': [_pair_to_dict(pair) for pair in self.pairs],
             'contradictions': [asdict(item) for item in self.contradictions],
@@ -257,7 +257,7 @@ class RigResult:
                 pairs=tuple(_pair_from_dict(item) for item in data['pairs']),
                 contradictions=tuple(Contradiction(**item) for item in data['contradictions']),
                 chi_squared=float(data['chi_squared']),
-                degrees_of_freedom=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
+                degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
                 findings=tuple(map(Finding.from_dict, data['findings'])),
                 config=RigConfig.from_saved(data['config']),
                 recordings=tuple(map(str, data.get('recordings', ()))),
