@@ -57,7 +57,6 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'rig-result-repeated': ('note', 'several saved results of one pair: the latest was used'),
     'rig-result-unread': ('warning', 'a file beside saved results could not be read as one'),
     'rig-shared-noise': ('note', 'made from saved results: the correlation of pairs is assumed'),
-    'rotation-large': ('note', 'the chosen solver is inaccurate at large rotations'),
     'scale': ('note', 'the two trajectories differ in scale; corrected'),
     'scale-unit': ('note', 'b is in another unit of length; its scale was found'),
     'short-drive': ('warning', 'too short for the errors of a SLAM to show'),
@@ -67,6 +66,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'time-unit': ('warning', "the steps are no sensor's: another unit of time?"),
     'uncorrected': ('warning', 'a scale, drift or clock offset that this solver cannot correct'),
     'worlds-differ': ('serious', 'positions and orientations of one sensor are in two worlds'),
+    'zhuang-large-rotation': ('note', 'the chosen solver is inaccurate at large rotations'),
 }
 
 

@@ -22,7 +22,8 @@ _KNOWN_OF_SENSOR = tuple(item.name for item in fields(SensorSettings))
 
 # Keys of the file that are settings of the rig, and the one with another name there.
 _RIG_KEYS = ('base', 'pairs', 'leave_out_contradicting', 'processes')
-_KEYS = (*_RIG_KEYS, 'bag', 'sensors', 'settings')
+# ``bags`` is the first spelling of ``bag``.
+_KEYS = (*_RIG_KEYS, 'bag', 'bags', 'sensors', 'settings')
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class RigDescription:
             inputs[str(name)] = _input(str(name), values, folder)
             known[str(name)] = {
                 key: value for key, value in values.items() if key in _KNOWN_OF_SENSOR}
-        bags = data.get('bag', ())
+        bags = data.get('bag', data.get('bags', ()))
         return cls(
             inputs,
             tuple(folder / str(bag) for bag in ([bags] if isinstance(bags, str) else bags)),

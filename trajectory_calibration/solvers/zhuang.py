@@ -53,7 +53,7 @@ def solve(motions: MotionPairs, config: CalibrationConfig) -> Solution:
     # From there on z is longer than one.
     if angle > np.pi / 2:
         findings = (*findings, Finding(
-            'rotation-large',
+            'zhuang-large-rotation',
             f'the sensors are rotated by {np.rad2deg(angle):.0f} degrees against each '
             'other, where the parameter of this solver grows and magnifies noise' + (
                 ' without bound; solved in rotated coordinates' if turned else '')
