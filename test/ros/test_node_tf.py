@@ -181,6 +181,22 @@ def test_a_bag_of_transforms_that_loops_starts_anew_and_bad_ones_are_counted(tmp
 
 
 @needs_tf2
+def test_static_transforms_of_many_senders_that_come_at_once_are_all_heard(tmp_path):
+    names = ['base_link', *(f'link_{k}' for k in range(300))]
+    with ros.running(tmp_path, '-p', f'topic_a:=tf:map.{names[-1]}') as (_, client):
+        tf = Tf(client)
+        latched = ros.QoSProfile(depth=1000, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
+        publisher = client.node.create_publisher(tf.message, '/tf_static', latched)
+        for parent, child in zip(names, names[1:], strict=False):
+            publisher.publish(tf.message(transforms=[
+                ros.to_transform(0, np.eye(4), parent, child)]))
+        stamps_ns, poses, _ = ros.drive(poses=20)
+        for stamp, pose in zip(stamps_ns, poses, strict=True):
+            tf.moving(stamp, ('map', 'base_link', pose))
+        client.wait(lambda: client.value('trajectory_a', 'poses') == '20', 'the poses')
+
+
+@needs_tf2
 def test_what_a_chain_waits_for_is_in_the_diagnostics(tmp_path):
     with ros.running(tmp_path, '-p', 'topic_a:=tf:map.base_link') as (_, client):
         tf = Tf(client)

@@ -23,8 +23,8 @@ from trajectory_calibration.sources.cdr import parse_poses, TF
 from trajectory_calibration.sources.edges import matrices
 from trajectory_calibration.sources.transforms import ChainFollower
 
-# As tf2's own listener and broadcaster have it.
-_STATIC = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# As tf2's own listener has it, but for the depth: those of all senders come at once.
+_STATIC = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class VehicleTransforms:
