@@ -3,6 +3,7 @@
 """TF as an input and as an output, where tf2_msgs is installed; what is said where it is not."""
 
 import importlib.util
+import itertools
 
 import numpy as np
 import pytest
@@ -187,7 +188,7 @@ def test_static_transforms_of_many_senders_that_come_at_once_are_all_heard(tmp_p
         tf = Tf(client)
         latched = ros.QoSProfile(depth=1000, durability=ros.DurabilityPolicy.TRANSIENT_LOCAL)
         publisher = client.node.create_publisher(tf.message, '/tf_static', latched)
-        for parent, child in zip(names, names[1:], strict=False):
+        for parent, child in itertools.pairwise(names):
             publisher.publish(tf.message(transforms=[
                 ros.to_transform(0, np.eye(4), parent, child)]))
         stamps_ns, poses, _ = ros.drive(poses=20)
