@@ -6,7 +6,7 @@
 
 Prints two Markdown tables, medians over the seeds with NEES / 6 (one where the covariance is
 right) as the mean: poses of b half-way between those of a, by the geodesic and by what the
-package does; and a clock that runs faster, left alone and corrected. Set OMP_NUM_THREADS=1.
+package does; and a faster clock, without and with correction. Set OMP_NUM_THREADS=1.
 """
 
 import argparse
@@ -76,7 +76,7 @@ def half_a_step_apart(seeds):
 
 
 def drifting_clocks(seeds):
-    print('\n| motion | minutes | clock of b, ppm | left alone: e_at, m | e_aR, deg | NEES / 6 '
+    print('\n| motion | minutes | clock of b, ppm | not corrected: e_at, m | e_aR, deg | NEES / 6 '
           '| corrected: e_at, m | e_aR, deg | NEES / 6 |\n' + '|---' * 9 + '|')
     for motion in ('offroad', 'drone'):
         for drift in (0.0, 2e-5, 1e-4):
