@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Damaged messages: whatever bytes arrive, they are counted and nothing is raised."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -11,7 +11,7 @@ import pytest
 from ros_if_any import needs_ros, ros
 
 from trajectory_calibration.online.buffer import BufferLimits, PoseBuffer, Refusal
-from trajectory_calibration.online.feed import PoseFeed
+from trajectory_calibration.online.feed import feed_message
 from trajectory_calibration.online.motion import measure
 from trajectory_calibration.sources import cdr
 
@@ -34,7 +34,7 @@ def good():
 
 def fed(msgtype, messages):
     buffer = PoseBuffer(BufferLimits())
-    feed = PoseFeed(msgtype, buffer)
+    feed = partial(feed_message, msgtype, buffer)
     for message in messages:
         feed(message)
     return buffer

@@ -17,23 +17,16 @@ if TYPE_CHECKING:
     from trajectory_calibration.sources.topics import TopicTrack
 
 
-class PoseFeed:
-    """Puts the serialized messages of one topic, of a trajectory type, into a buffer."""
-
-    def __init__(self, msgtype: str, buffer: PoseBuffer) -> None:
-        self._msgtype, self._buffer = msgtype, buffer
-
-    def __call__(self, message: bytes) -> None:
-        """Take one message; what is wrong with it is counted by the buffer."""
-        if self._msgtype != PATH:
-            sample = parse_pose(message, self._msgtype)
-            if sample is not None:
-                self._buffer.append(*sample)
-                return
-        elif (path := parse_path(message)) is not None:
-            self._buffer.replace(path.stamps_ns, path.poses, path.frames)
+def feed_message(msgtype: str, buffer: PoseBuffer, message: bytes) -> None:
+    """Put a serialized message of a trajectory type into a buffer, which counts what is wrong."""
+    if msgtype == PATH:
+        if (path := parse_path(message)) is not None:
+            buffer.replace(path.stamps_ns, path.poses, path.frames)
             return
-        self._buffer.count_unreadable()
+    elif (sample := parse_pose(message, msgtype)) is not None:
+        buffer.append(*sample)
+        return
+    buffer.count_unreadable()
 
 
 def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.buffer import PoseBuffer
-from trajectory_calibration.online.feed import PoseFeed
+from trajectory_calibration.online.feed import feed_message
 from trajectory_calibration.ros.frames import VehicleTransforms
 from trajectory_calibration.ros.messages import MESSAGE_TYPES, subscribe
 from trajectory_calibration.sources.cdr import PATH
@@ -113,8 +114,8 @@ class TrajectorySubscription:
             self._buffer.clear()
         self._msgtype, self._profile = msgtype, profile
         self._subscription = subscribe(
-            self._node, MESSAGE_TYPES[msgtype], self._name, PoseFeed(msgtype, self._buffer),
-            profile, self._on_lost)
+            self._node, MESSAGE_TYPES[msgtype], self._name,
+            partial(feed_message, msgtype, self._buffer), profile, self._on_lost)
         self._node.get_logger().info(
             f'receiving {msgtype} on {self._topic} ({profile.reliability.name.lower()})')
 
