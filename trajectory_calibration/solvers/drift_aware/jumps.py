@@ -24,10 +24,10 @@ _TAILS = np.tile([2.0, 3.0, 5.0, 10.0, 100.0], 2)[:, None]
 _CONSTANT = (log_gamma((_TAILS + 3) / 2) - log_gamma(_TAILS / 2)
              - 1.5 * np.log(_TAILS * np.pi))
 
-# Histogram of the logarithms of the squares: number of bins, and smallest ratio to the largest.
+# Number of bins of the histogram of the logarithms of the squares.
 _BINS = 100
 
-# Smallest ratio of the variances of the wide component and the core; largest share of jumps.
+# Smallest ratio of the variances of the wide component and the core.
 _WIDER = 25.0
 
 
