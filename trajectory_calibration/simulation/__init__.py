@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories with a known extrinsic: the paper's generator, and what real sensors add to it.
+"""Simulated trajectories with a known extrinsic: the paper's generator with more sensor errors.
 
-``simulate(SCENARIOS['mixture'], seed=1)`` gives two trajectories and the truth.
+``simulate(SCENARIOS['mixture'], seed=1)`` returns two trajectories and the true extrinsic.
 """
 
 from trajectory_calibration.simulation.noise import Noise

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated trajectories as files: TUM and rosbag2."""
+"""Write simulated trajectories as TUM files or rosbag2."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ MESSAGES = tuple(_TYPES)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write rows ``t x y z qx qy qz qw``; seconds with nine decimals, so that no stamp changes.
+    """Write rows ``t x y z qx qy qz qw``, metres and seconds with nine decimals (exact stamps).
 
-    Raise SourceError where the file cannot be written.
+    Raises SourceError if the file cannot be written.
     """
     rows = ''.join(
         f'{"-" * (stamp < 0)}{abs(stamp) // 10**9}.{abs(stamp) % 10**9:09d} '
@@ -38,14 +38,14 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 def write_transform(path: Path, transform: se3.FloatArray) -> None:
     """Write one (4, 4) transform as a row ``0 x y z qx qy qz qw``, metres.
 
-    Raise SourceError where the file cannot be written.
+    Raises SourceError if the file cannot be written.
     """
     row = ' '.join(map(repr, _rows(transform[None])[0]))
     write_text(path, f'# t x y z qx qy qz qw\n0 {row}\n', SourceError)
 
 
 def _rows(poses: se3.FloatArray) -> list[list[float]]:
-    """Return x, y, z, qx, qy, qz, qw of (N, 4, 4) poses."""
+    """Return rows x, y, z, qx, qy, qz, qw of (N, 4, 4) poses."""
     q = se3.rotation_to_quaternion(poses[:, :3, :3])
     rows: list[list[float]] = np.column_stack([poses[:, :3, 3], q]).tolist()
     return rows
@@ -56,14 +56,18 @@ def write_bag(
 ) -> None:
     """Write a rosbag2: one topic per trajectory, messages in the order of their stamps.
 
-    ``path`` is its folder, which must not exist; ``trajectories`` are by topic. ``message`` is
-    one of ``MESSAGES``, ``storage`` one of ``STORAGES``; ConfigError for any other one,
-    SourceError where the bag cannot be written.
+    Parameters
+    ----------
+    path : folder of the bag, which must not exist.
+    trajectories : by topic.
+    message, storage : one of ``MESSAGES``, one of ``STORAGES``; else ConfigError is raised.
+
+    Raises SourceError if the bag cannot be written.
     """
     for what, given, known in (('message', message, MESSAGES), ('storage', storage, STORAGES)):
         if given not in known:
             raise ConfigError(f'{what} {given!r} is unknown; needed one of {", ".join(known)}')
-    # The bag library loads here because most uses of the simulator stay in memory.
+    # Imported here because most uses of the simulator write no bag.
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
     from rosbags.typesys import get_typestore, Stores
     typestore = get_typestore(Stores.ROS2_JAZZY)

@@ -1,10 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a SLAM does to a trajectory: drift, scale, loop closures, jumps, noise.
+"""Errors of a SLAM trajectory: drift, scale, loop closures, jumps, noise.
 
-Every function takes true or already disturbed (N, 4, 4) poses in time order and returns new
-ones. The order in ``Noise.disturb`` is the physical one: what accumulates comes before what
-strikes a pose, and noise of a pose comes last.
+Every function takes (N, 4, 4) poses in time order and returns new ones. ``Noise.disturb`` first
+adds the errors that accumulate, then jumps, then the noise of single poses.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Each axis of a jump has this variance, square metres.
+# Of each axis of a jump, square metres.
 JUMP_VARIANCE = 0.02
 
-# Of every number: far beyond any sensor, and far from where sums of squares overflow.
+# Limit of every parameter: beyond any sensor, and sums of squares do not overflow.
 _LARGEST = 1e6
 
 
@@ -32,17 +31,17 @@ class Noise:
 
     Attributes
     ----------
-    white : standard deviation of each translation axis of each pose, metres.
-    white_rotation : the same of each rotation axis, radians; None: 2 rad/m times ``white``, as
+    white : standard deviation of white noise on each translation axis of each pose, metres.
+    white_rotation : the same for each rotation axis, radians; None: 2 rad/m times ``white``, as
         in the paper.
-    jumps : number of steps in the position, each lasting to the end.
+    jumps : number of position jumps, each of which persists to the end.
     drift : metres of drift per metre moved, along one random axis of the sensor's own frame.
     walk : standard deviation of the random walk of the position, metres after one metre.
-    walk_rotation : the same of the orientation, radians after one metre.
-    coloured : standard deviation of a slowly varying position error, metres.
-    coloured_rotation : the same of the orientation, radians.
-    coloured_time : its correlation time, seconds.
-    loop_closures : number of times at which everything accumulated is set right, at once.
+    walk_rotation : the same for the orientation, radians after one metre.
+    coloured : standard deviation of an exponentially correlated position error, metres.
+    coloured_rotation : the same for the orientation, radians.
+    coloured_time : correlation time of both, seconds.
+    loop_closures : number of loop closures, each of which removes all accumulated errors.
     scale : factor on every translation.
 
     """
@@ -73,33 +72,32 @@ class Noise:
     ) -> FloatArray:
         """Return the (N, 4, 4) poses that a SLAM reports for true ones ``interval`` s apart.
 
-        Each kind of error draws from a stream of its own: raising one level leaves the others
-        as they were.
+        Each kind of error has its own random stream: changing one leaves the others unchanged.
         """
         for_drift, for_closures, for_jumps, for_coloured, for_white = map(
             np.random.default_rng, seed.spawn(5))
         disturbed = accumulate(
             poses, drift=self.drift, walk=self.walk, walk_rotation=self.walk_rotation,
-            scale=self.scale, closures=_moments(len(poses), self.loop_closures, for_closures),
-            rng=for_drift)
+            scale=self.scale, rng=for_drift,
+            closures=_random_indices(len(poses), self.loop_closures, for_closures))
         disturbed = jump(disturbed, self.jumps, for_jumps)
-        disturbed = shake(disturbed, ornstein_uhlenbeck(
+        disturbed = perturb(disturbed, ornstein_uhlenbeck(
             len(poses), interval, self.coloured, self.coloured_rotation, self.coloured_time,
             for_coloured))
         rotation = 2 * self.white if self.white_rotation is None else self.white_rotation
-        return shake(disturbed, _gaussian(len(poses), self.white, rotation, for_white))
+        return perturb(disturbed, _gaussian(len(poses), self.white, rotation, for_white))
 
 
 def accumulate(
     poses: FloatArray, *, drift: float, walk: float, walk_rotation: float, scale: float,
     closures: NDArray[np.intp], rng: np.random.Generator,
 ) -> FloatArray:
-    """Return (N, 4, 4) poses that dead reckoning builds from steps with errors.
+    """Return the (N, 4, 4) poses of dead reckoning with errors.
 
-    A step of length s gets ``drift * s`` along one axis of the frame it starts in, is multiplied
-    by ``scale``, and is followed by a random motion with the standard deviations
-    ``walk * sqrt(s)`` and ``walk_rotation * sqrt(s)``. At the (K,) indices ``closures`` the pose
-    is the true one again, in the scaled world.
+    A step of length s gets ``drift * s`` along one axis of the frame at its start, then the
+    factor ``scale``, then a random motion with the standard deviations ``walk * sqrt(s)`` and
+    ``walk_rotation * sqrt(s)``. At the (K,) indices ``closures`` the pose is the true one of the
+    scaled world.
     """
     axis = np.eye(3)[rng.integers(3)]
     steps = se3.inverse(poses[:-1]) @ poses[1:]
@@ -116,20 +114,20 @@ def accumulate(
 
 
 def jump(poses: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return (N, 4, 4) poses with ``count`` random steps of the position, each to the end."""
+    """Return (N, 4, 4) poses with ``count`` random position jumps, each persists to the end."""
     offsets = np.zeros((len(poses), 3))
-    where = _moments(len(poses), count, rng)
-    offsets[where] = rng.normal(0.0, np.sqrt(JUMP_VARIANCE), (len(where), 3))
+    indices = _random_indices(len(poses), count, rng)
+    offsets[indices] = rng.normal(0.0, np.sqrt(JUMP_VARIANCE), (len(indices), 3))
     result = poses.copy()
     result[:, :3, 3] += offsets.cumsum(axis=0)
     return result
 
 
-def shake(poses: FloatArray, tangents: FloatArray) -> FloatArray:
+def perturb(poses: FloatArray, tangents: FloatArray) -> FloatArray:
     """Return (N, 4, 4) poses right-multiplied by small motions, (N, 6) metres and radians.
 
-    The rotation is given as a rotation vector, which for small angles has the distribution of
-    the paper's Euler angles.
+    The last three components are a rotation vector; for small angles it has the same
+    distribution as the Euler angles of the paper.
     """
     return poses @ se3.from_rotation_translation(se3.exp_so3(tangents[:, 3:]), tangents[:, :3])
 
@@ -143,20 +141,20 @@ def ornstein_uhlenbeck(
     ``translation`` (m) and ``rotation`` (rad) are its standard deviations; the samples are
     ``interval`` seconds apart.
     """
-    keep = float(np.exp(-interval / time))
+    correlation = float(np.exp(-interval / time))
     driven = _gaussian(count, translation, rotation, rng)
-    driven[1:] *= np.sqrt(1 - keep**2)
-    # A million samples take a second, which is what importing a filter of SciPy takes, too.
-    columns = [list(itertools.accumulate(column, lambda before, new: keep * before + new))
+    driven[1:] *= np.sqrt(1 - correlation**2)
+    # A million samples take a second, as long as the import of scipy.signal.
+    columns = [list(itertools.accumulate(column, lambda before, new: correlation * before + new))
                for column in driven.T.tolist()]
     return np.ascontiguousarray(np.array(columns, dtype=np.float64).T)
 
 
 def running_product(poses: FloatArray) -> FloatArray:
-    """Return the (N, 4, 4) products of the first 1, 2, ..., N of (N, 4, 4) poses.
+    """Return the (N, 4, 4) cumulative products of (N, 4, 4) poses.
 
-    In about sqrt(N) blocks of sqrt(N): first along all blocks at once, then from block to block,
-    which makes 2 sqrt(N) steps over arrays in place of N small products.
+    Computed in about sqrt(N) blocks of sqrt(N) poses: first within all blocks at once, then from
+    block to block. This is 2 sqrt(N) array operations in place of N small products.
     """
     length = int(np.ceil(np.sqrt(len(poses))))
     blocks = np.tile(np.eye(4), (-(-len(poses) // length), length, 1, 1))
@@ -174,8 +172,8 @@ def _gaussian(
     return rng.standard_normal((count, 6)) * ([translation] * 3 + [rotation] * 3)
 
 
-def _moments(poses: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return the sorted indices of ``count`` different poses, never the first."""
+def _random_indices(poses: int, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Return sorted indices of ``count`` different poses, never the first."""
     if count >= poses:
         raise ConfigError(
             f'{count} jumps or loop closures asked of {poses} poses; needed fewer than '

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Paths: where a base moves, as functions of time.
+"""Paths of a base as functions of time.
 
-A path maps (N,) seconds to the (N, 4, 4) poses ``T_world_base`` at those times, so that sensors
-of any rate and phase sample the same motion.
+A path maps (N,) seconds to the (N, 4, 4) poses ``T_world_base`` at those times: sensors of any
+rate and phase sample the same motion.
 """
 
 from __future__ import annotations
@@ -43,28 +43,28 @@ def peaks(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 def hills(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Hills of 1 m every 25 m, without end."""
+    """Periodic hills, 1 m high and 25 m apart."""
     k = 2 * np.pi / 25
     return (np.sin(k * x) + np.cos(k * y), k * np.cos(k * x) + 0 * y, -k * np.sin(k * y) + 0 * x)
 
 
 @dataclass(frozen=True)
 class Unicycle:
-    """A vehicle on wheels: constant speed over ground, a new random yaw rate every while.
+    """A vehicle on wheels: constant horizontal speed, piecewise constant random yaw rate.
 
-    Between changes it drives an exact arc. Its z axis is the normal of the ground, its x axis
-    the heading; it starts at x = 0, y = 0.5 m, heading along x.
+    With a constant yaw rate it drives an exact arc. Its z axis is the normal of the ground, its
+    x axis the heading; it starts at x = 0, y = 0.5 m, heading along x.
 
     Attributes
     ----------
-    speed : metres per second, horizontally.
-    yaw_rate : the rate is uniform in plus or minus this, radians per second.
-    hold : seconds for which it is held.
-    ground : what it drives on.
-    as_published : orient it as the paper's published trajectories are, which is not as a vehicle
-        stands: they hold the inverse of ``Rz(heading) Ry(asin(n_x)) Rx(asin(n_y))`` with the
-        normal n of the ground. Seen from the sensor, it then moves in ever other directions. Of
-        a vehicle, which moves along its x axis, a steady drift of b looks like a rotation of b.
+    speed : horizontal speed, metres per second.
+    yaw_rate : the yaw rate is uniform in plus or minus this, radians per second.
+    hold : duration of each yaw rate, seconds.
+    ground : height and slopes of the ground.
+    as_published : use the orientations of the paper's published trajectories. They are not those
+        of a vehicle but the inverse of ``Rz(heading) Ry(asin(n_x)) Rx(asin(n_y))`` with the
+        normal n of the ground, so that the direction of motion in the sensor frame varies. A
+        vehicle moves along its x axis, where a constant drift of b looks like a rotation of b.
 
     """
 
@@ -76,7 +76,7 @@ class Unicycle:
 
     def draw(self, duration: float, rng: np.random.Generator) -> Path:
         """Draw a path of ``duration`` seconds."""
-        orient = _published if self.as_published else _standing
+        orient = _published_rotations if self.as_published else _vehicle_rotations
         rates = rng.uniform(-self.yaw_rate, self.yaw_rate, int(duration / self.hold) + 1)
         headings = np.concatenate([[0.0], np.cumsum(rates * self.hold)])
         arcs = self._chord(headings[:-1], rates, np.full(len(rates), self.hold))
@@ -84,10 +84,10 @@ class Unicycle:
 
         def path(times: FloatArray) -> FloatArray:
             k = np.clip((times / self.hold).astype(int), 0, len(rates) - 1)
-            since = times - k * self.hold
-            xy = corners[k] + self._chord(headings[k], rates[k], since)
+            elapsed = times - k * self.hold
+            xy = corners[k] + self._chord(headings[k], rates[k], elapsed)
             z, slope_x, slope_y = self.ground(xy[:, 0], xy[:, 1])
-            R = orient(slope_x, slope_y, headings[k] + rates[k] * since)
+            R = orient(slope_x, slope_y, headings[k] + rates[k] * elapsed)
             return se3.from_rotation_translation(R, np.column_stack([xy, z]))
 
         return path
@@ -95,7 +95,7 @@ class Unicycle:
     def _chord(
         self, heading: FloatArray, rate: FloatArray, duration: FloatArray,
     ) -> FloatArray:
-        """Return (N, 2) displacements along arcs that begin with (N,) headings."""
+        """Return (N, 2) displacements along arcs with (N,) initial headings, metres."""
         half = 0.5 * rate * duration
         length = self.speed * duration * np.sinc(half / np.pi)
         return np.column_stack([length * np.cos(heading + half), length * np.sin(heading + half)])
@@ -105,15 +105,15 @@ class Unicycle:
 class Wander:
     """A drone or a hand: smooth random motion in all six degrees of freedom.
 
-    Each coordinate is a sum of five sinusoids with random phases and with frequencies between a
-    fifth of the highest and the highest.
+    Each coordinate is a sum of five sinusoids with random phases and with random frequencies
+    from 0.2 to 1.0 times ``frequency``.
 
     Attributes
     ----------
     reach : standard deviation of the position along each axis, metres.
     tilt : standard deviation of roll and pitch, radians.
     turn : standard deviation of yaw, radians.
-    frequency : the highest, hertz.
+    frequency : the highest frequency, hertz.
 
     """
 
@@ -123,11 +123,11 @@ class Wander:
     frequency: float = 0.25
 
     def draw(self, duration: float, rng: np.random.Generator) -> Path:
-        """Draw a path; it has no end, whatever the ``duration`` (seconds)."""
+        """Draw a path, which is defined for any time; ``duration`` is not used."""
         del duration
         omega = 2 * np.pi * self.frequency * rng.uniform(0.2, 1.0, (6, 5))
         phase = rng.uniform(0, 2 * np.pi, (6, 5))
-        # The mean square of a sinusoid is a half.
+        # The mean square of a sinusoid is 1/2.
         scale = np.sqrt(2 / 5) * np.array([self.reach] * 3 + [self.tilt, self.tilt, self.turn])
 
         def path(times: FloatArray) -> FloatArray:
@@ -138,7 +138,9 @@ class Wander:
         return path
 
 
-def _standing(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> FloatArray:
+def _vehicle_rotations(
+    slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray,
+) -> FloatArray:
     """Return (N, 3, 3) rotations with z along the normal of the ground and x along the heading."""
     cosine, sine = np.cos(heading), np.sin(heading)
     forward = np.column_stack([cosine, sine, slope_x * cosine + slope_y * sine])
@@ -147,7 +149,9 @@ def _standing(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> 
     return np.stack([forward, np.cross(normal, forward), normal], axis=-1)
 
 
-def _published(slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray) -> FloatArray:
+def _published_rotations(
+    slope_x: FloatArray, slope_y: FloatArray, heading: FloatArray,
+) -> FloatArray:
     """Return the (N, 3, 3) rotations of the paper's published trajectories."""
     pitch, roll, _ = np.arcsin(_normal(slope_x, slope_y)).T
     R = se3.rotation_from_roll_pitch_yaw(np.column_stack([roll, pitch, heading]))

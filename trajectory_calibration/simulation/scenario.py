@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From a scenario and a seed to two trajectories and the truth."""
+"""Simulate two trajectories with a known extrinsic from a scenario and a seed."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.paths import flat, hills, Unicycle, Wander
 
-# A day in 2023, so that stamps are as long as real ones.
+# A day in 2023: stamps have as many digits as real ones.
 START_NS = 1_700_000_000_000_000_000
 
-# Poses of one sensor: two days at 100 hertz, some gigabytes of memory.
-_MOST_POSES = 20_000_000
+# Limit for one sensor: two days at 100 hertz, a few gigabytes of memory.
+_MAX_POSES = 20_000_000
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """How one sensor's SLAM reports the motion.
+    """The poses that the SLAM of one sensor reports.
 
     Attributes
     ----------
     rate : poses per second.
     noise : errors of the poses.
-    clock_offset : seconds by which its clock is ahead at the start.
-    clock_drift : seconds a second by which it runs faster.
-    gaps : number of intervals, at random times, without poses.
-    gap : their length, seconds.
-    sensor_frame, world_frame : names.
+    clock_offset : how far its clock is ahead at the start, seconds.
+    clock_drift : how much faster its clock runs, seconds per second.
+    gaps : number of intervals without poses, at random times.
+    gap : length of each, seconds.
+    sensor_frame, world_frame : names of the frames.
 
     """
 
@@ -51,7 +51,7 @@ class Sensor:
     def __post_init__(self) -> None:
         if not 0 < self.rate <= 1e6:
             raise ConfigError(f'rate is {self.rate}, needed above 0 and up to 1e6 hertz')
-        # Stamps stay those of a message, 32 bits from 0 up.
+        # The seconds of a ROS stamp are 32 bits, here from 0 up.
         low, high = -1_700_000_000, 400_000_000
         if not low <= self.clock_offset <= high:
             raise ConfigError(
@@ -87,16 +87,16 @@ class Scenario:
             raise ConfigError(f'duration is {self.duration}, needed above 0 and up to 1e6 s')
         for sensor in (self.a, self.b):
             poses = _count(self.duration, sensor.rate)
-            if not 2 <= poses <= _MOST_POSES:
+            if not 2 <= poses <= _MAX_POSES:
                 raise ConfigError(
                     f'{self.duration} s at {sensor.rate} hertz are {counted(poses, "pose")} of '
                     f'{sensor.sensor_frame}, needed ' + (
                         'at least 2; raise the duration or the rate' if poses < 2 else
-                        f'at most {_MOST_POSES:,}; lower the duration or the rate'))
+                        f'at most {_MAX_POSES:,}; lower the duration or the rate'))
 
 
 class SimulatedPair(NamedTuple):
-    """What the two sensors report, and the true (4, 4) pose of sensor b in sensor a."""
+    """The trajectories of both sensors, and the true (4, 4) pose of sensor b in sensor a."""
 
     a: Trajectory
     b: Trajectory
@@ -107,20 +107,20 @@ def simulate(scenario: Scenario, seed: int, T_a_b: FloatArray | None = None) -> 
     """Draw one run of a scenario.
 
     The generator of Välimäki, Garigipati, Ghabcheloo, Sensors 23(7):3740, 2023,
-    doi:10.3390/s23073740, section IV-A, and what real sensors add to it. The same seed gives
-    the same motion, extrinsic and worlds whatever the noise. ``T_a_b``, (4, 4), is how sensor b is
-    mounted; drawn from the seed where omitted.
+    doi:10.3390/s23073740, section IV-A, with more errors of real sensors. The same seed gives
+    the same motion, extrinsic and world frames with any noise. ``T_a_b``, (4, 4), is the
+    extrinsic; by default it is drawn from the seed.
     """
     for_path, for_frames, for_a, for_b = np.random.SeedSequence(seed).spawn(4)
     path = scenario.motion.draw(scenario.duration, np.random.default_rng(for_path))
     rng = np.random.default_rng(for_frames)
     drawn, T_worldb_worlda = random_pose(rng), random_pose(rng)
     T_a_b = drawn if T_a_b is None else T_a_b
-    of_a, of_b = (path(np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate)
-                  for sensor in (scenario.a, scenario.b))
+    poses_a, poses_b = (path(np.arange(_count(scenario.duration, sensor.rate)) / sensor.rate)
+                        for sensor in (scenario.a, scenario.b))
     return SimulatedPair(
-        simulate_sensor(scenario.a, scenario.duration, of_a, for_a),
-        simulate_sensor(scenario.b, scenario.duration, T_worldb_worlda @ of_b @ T_a_b, for_b),
+        simulate_sensor(scenario.a, scenario.duration, poses_a, for_a),
+        simulate_sensor(scenario.b, scenario.duration, T_worldb_worlda @ poses_b @ T_a_b, for_b),
         T_a_b)
 
 
@@ -133,14 +133,14 @@ def random_pose(rng: np.random.Generator) -> FloatArray:
 
 
 def _count(duration: float, rate: float) -> int:
-    # The small addition keeps the last sample where duration * rate is a whole number.
+    # 1e-6 against rounding: the last sample stays if duration * rate is a whole number.
     return int(duration * rate + 1e-6) + 1
 
 
 def simulate_sensor(
     sensor: Sensor, duration: float, poses: FloatArray, seed: np.random.SeedSequence,
 ) -> Trajectory:
-    """Report true (N, 4, 4) poses, evenly spaced in time, as the sensor's SLAM would."""
+    """Return the trajectory that the SLAM of a sensor reports for (N, 4, 4) true poses."""
     for_noise, for_gaps = seed.spawn(2)
     times = np.arange(len(poses)) / sensor.rate
     starts = np.random.default_rng(for_gaps).uniform(0, max(duration - sensor.gap, 0), sensor.gaps)
@@ -153,25 +153,25 @@ def simulate_sensor(
 
 
 def with_noise(scenario: Scenario, a: Noise, b: Noise) -> Scenario:
-    """Return the scenario with other errors of its sensors."""
+    """Return the scenario with the noise of both sensors replaced."""
     return replace(scenario, a=replace(scenario.a, noise=a), b=replace(scenario.b, noise=b))
 
 
 def paper_scenario(*, white: float = 0.0, jumps: int = 0, drift: float = 0.0) -> Scenario:
-    """Return the paper's scenario: noise and jumps on both trajectories, drift on that of b."""
+    """Return the paper's scenario: noise and jumps on both trajectories, drift on b."""
     both = Noise(white=white, jumps=jumps)
     scenario = Scenario(motion=Unicycle(as_published=True))
     return with_noise(scenario, both, replace(both, drift=drift))
 
 
 def _field_scenario(duration: float, motion: Unicycle | Wander) -> Scenario:
-    """Return what SLAM of a lidar at 10 Hz and of a camera at 20 Hz make of a motion."""
+    """Return a scenario with SLAM of a lidar at 10 Hz and of a camera at 20 Hz."""
     slam = Noise(white=0.005, white_rotation=0.001, walk=0.005, walk_rotation=0.0005)
     scenario = with_noise(Scenario(duration, motion), slam, replace(slam, drift=0.005))
     return replace(scenario, b=replace(scenario.b, rate=20.0))
 
 
-# The paper's classes at their hardest level, then motions and sensors it does not have.
+# The paper's classes at their hardest level, then other motions and sensors.
 SCENARIOS: dict[str, Scenario] = {
     'noise': paper_scenario(white=0.01),
     'outliers': paper_scenario(jumps=10),
