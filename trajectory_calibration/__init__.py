@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extrinsic calibration of two sensors from their trajectories.
 
-``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a. Only NumPy is
-imported here; CasADi and ROS load where they are used.
+``calibrate(trajectory_a, trajectory_b)`` finds the pose of sensor b in sensor a. This import
+needs NumPy only; CasADi and ROS are imported where they are used.
 """
 
 from typing import Any, TYPE_CHECKING
@@ -51,7 +51,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Two sensors need nothing of a rig, and its modules take a tenth of a second to import.
+    # Importing the rig takes a tenth of a second, which a calibration of two sensors saves.
     if name == 'calibrate_rig':
         from trajectory_calibration.rig.calibration import calibrate_rig
         return calibrate_rig

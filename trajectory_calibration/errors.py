@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Every failure the package raises on purpose.
+"""Every error that the package raises on purpose, and helpers for its messages.
 
-A message says what was found, what was needed, and what to do next, in one line, so that the
-command line can print it as it is and the node can answer a service call with it.
+A message says in one line what was found, what was needed and what to do next. The command line
+prints it unchanged, and the node returns it from a service call.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from difflib import get_close_matches
 from importlib import import_module
 from types import ModuleType
 
-# First names of modules that several packages share; "pip install ruamel" installs nothing.
-_SHARED = {'ruamel': 'ruamel.yaml', 'backports': 'backports.zstd'}
+# Packages inside a namespace package: "pip install ruamel" installs nothing.
+_NAMESPACES = {'ruamel': 'ruamel.yaml', 'backports': 'backports.zstd'}
 
 
 class CalibrationError(Exception):
-    """Base of all named failures: catch this one to catch them all."""
+    """Base class of all errors of this package."""
 
 
 class ConfigError(CalibrationError, ValueError):
@@ -26,15 +26,15 @@ class ConfigError(CalibrationError, ValueError):
 
 
 class TrajectoryError(CalibrationError, ValueError):
-    """Stamps or poses that cannot be a trajectory: wrong shape, not finite, not rotations."""
+    """Stamps or poses are no trajectory: wrong shape, not finite, not rotations."""
 
 
 class SourceError(CalibrationError):
-    """A file or a bag cannot be read, or holds something else than what was asked for."""
+    """A file or a bag cannot be read, or has other content than requested."""
 
 
 class TopicError(SourceError):
-    """A bag has no such topic, or its type cannot serve as a trajectory."""
+    """A bag has no such topic, or the type of the topic holds no poses."""
 
 
 class AssociationError(CalibrationError):
@@ -42,11 +42,11 @@ class AssociationError(CalibrationError):
 
 
 class MotionError(CalibrationError):
-    """The motion, or the reference chosen for it, does not determine what was asked for."""
+    """The motion, or the reference chosen for it, does not determine the extrinsic."""
 
 
 class SolverError(CalibrationError):
-    """A solver did not reach a minimum; no answer is better than a wrong one."""
+    """A solver did not converge to a minimum."""
 
 
 class ResultError(CalibrationError):
@@ -54,11 +54,11 @@ class ResultError(CalibrationError):
 
 
 class MissingPackageError(CalibrationError):
-    """An optional Python package is needed and not installed."""
+    """An optional Python package is needed but not installed."""
 
 
 def require(module: str) -> ModuleType:
-    """Import an optional package; raise MissingPackageError, which says how to install it."""
+    """Import an optional package; MissingPackageError says how to install it."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
@@ -66,15 +66,14 @@ def require(module: str) -> ModuleType:
 
 
 def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
-    """Return the named error for an import that found no package."""
-    # A module of this package that is missing is a broken installation of it.
+    """Return the error of this package for a failed import."""
     name = str(error.name).partition('.')[0]
-    package = _SHARED.get(name, name)
+    package = _NAMESPACES.get(name, name)
     return MissingPackageError(f'{package} is not installed; pip install {package}')
 
 
 def in_words(error: Exception) -> str:
-    """Return what an error of Python says, without its number and the names of its classes."""
+    """Return the message of a Python error without error numbers and class names."""
     if isinstance(error, OSError):
         return error.strerror or str(error)
     if isinstance(error, KeyError):
@@ -94,17 +93,17 @@ def counted(count: int, noun: str) -> str:
 
 
 def unknown_name(what: str, name: object, known: Sequence[str], where: str = '') -> str:
-    """Return that a name is unknown, and the one that was meant, or else all known ones."""
+    """Return the message for an unknown name, with the closest known name or all of them."""
     near = get_close_matches(str(name), known, n=1)
     return f'{what} {name!r}{where} is unknown; ' + (
         f'did you mean {near[0]}?' if near else f'known are {", ".join(known)}')
 
 
 def rounded(value: float, digits: int = 2) -> str:
-    """Return a number of so many digits, without an exponent where it is large: 0.12, 1,220."""
+    """Return a number with ``digits`` significant digits, large ones as integers: 0.12, 1,220."""
     return f'{value:,.0f}' if abs(value) >= 10**digits - 0.5 else f'{value:.{digits}g}'
 
 
 def in_sigmas(ratio: float, digits: int = 0) -> str:
-    """Return a number of standard deviations; '> 1000' against those of data without noise."""
+    """Return a number of standard deviations as text; '> 1000' if the data have no noise."""
     return '> 1000' if ratio > 1000 else f'{ratio:.{digits}f}'

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Many independent tasks on the cores of one machine, or on a Dask cluster."""
+"""Run independent tasks on the cores of one machine or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _Result = TypeVar('_Result')
 
 @dataclass(frozen=True)
 class Executor:
-    """Where tasks run.
+    """The backend that runs the tasks.
 
     Attributes
     ----------
-    backend : 'joblib' for processes of this machine, 'dask' for a cluster.
-    processes : of this machine, also for a local cluster; 0: one for each core.
-    scheduler : address of a Dask cluster's scheduler; None starts a local cluster.
+    backend : 'joblib' for processes on this machine, 'dask' for a cluster.
+    processes : number of processes on this machine, also of a local cluster; 0: one per core.
+    scheduler : address of the scheduler of a Dask cluster; None starts a local cluster.
 
     """
 
@@ -54,17 +54,17 @@ class Executor:
     def unordered(
         self, function: Callable[[_Item], _Result], items: Sequence[_Item],
     ) -> Iterator[tuple[int, _Result]]:
-        """Yield the number of each item and its result, whichever is done first.
+        """Yield the index of each item and its result, in the order of completion.
 
-        ``function`` is one of a module, which processes import. Raises MissingPackageError
-        where the backend is not installed, ConfigError where its cluster cannot be reached,
-        CalibrationError where a process was killed.
+        ``function`` must be importable from a module. Raises MissingPackageError if the backend
+        is not installed, ConfigError if the cluster cannot be reached, CalibrationError if a
+        process was killed.
         """
         if not items:
-            # Starting a cluster or processes would be a waste.
+            # Starts no cluster and no processes.
             return
         joblib = require('joblib')
-        # One thread each: the matrices are too small for more.
+        # One thread per process: the matrices are too small for more.
         settings = {'backend': 'dask'} if self.backend == 'dask' else {
             'backend': 'loky', 'n_jobs': self.count, 'inner_max_num_threads': 1}
         with self._cluster():
@@ -75,11 +75,11 @@ class Executor:
                     if self.backend == 'dask':
                         raise ConfigError(
                             "dask needs joblib 1.4 or newer; pip install 'joblib>=1.4'") from error
-                    # joblib 1.3, of Ubuntu 24.04, knows one order; the items are numbered.
+                    # joblib 1.3 of Ubuntu 24.04 yields in the order of the items only.
                     parallel = joblib.Parallel(return_as='generator')
             try:
                 yield from parallel(
-                    joblib.delayed(_numbered)(function, *each) for each in enumerate(items))
+                    joblib.delayed(_call_indexed)(function, *each) for each in enumerate(items))
             except BrokenExecutor as error:
                 raise CalibrationError(
                     'a process was killed, perhaps for lack of memory; use fewer processes '
@@ -100,6 +100,6 @@ class Executor:
                 f'no Dask scheduler answers at {self.scheduler}: {error}') from error
 
 
-def _numbered(function: Callable[[_Item], _Result], number: int, item: _Item) -> tuple[
+def _call_indexed(function: Callable[[_Item], _Result], index: int, item: _Item) -> tuple[
         int, _Result]:
-    return number, function(item)
+    return index, function(item)

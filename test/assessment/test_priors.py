@@ -109,7 +109,7 @@ def test_is_the_minimum_of_both_costs():
             se3.exp_so3(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
         known = np.isfinite(prior.std)
         return (step @ np.linalg.solve(covariance, step)
-                + np.sum((prior.deviation(moved)[known] / prior.std[known])**2))
+                + np.sum((prior.step_from(moved)[known] / prior.std[known])**2))
 
     best = minimize(cost, np.zeros(6), method='BFGS', options={'gtol': 1e-9})
     step = np.concatenate([found[:3, 3] - T[:3, 3], se3.log_so3(found[:3, :3] @ T[:3, :3].T)])
@@ -138,7 +138,7 @@ def test_about_an_unobserved_axis_it_is_the_minimum_of_both_costs_from_anywhere(
     def cost(turn):
         moved = se3.moved(truth, np.r_[np.zeros(3), turn])
         return (np.sum((moved[:3, :3] @ in_b - along)**2) / sigma**2
-                + np.sum((prior.deviation(moved)[3:] / prior.std[3:])**2))
+                + np.sum((prior.step_from(moved)[3:] / prior.std[3:])**2))
 
     best = minimize(cost, np.zeros(3), method='BFGS', options={'gtol': 1e-9}).x
     turned = se3.step_between(truth, found)[3:]

@@ -37,7 +37,7 @@ def apply_prior(
     root = axes * np.sqrt(np.maximum(eigenvalues, 0.0))
     step = np.zeros(6)
     for _ in range(20):
-        deviation = prior.deviation(se3.moved(T_a_b, step))
+        deviation = prior.step_from(se3.moved(T_a_b, step))
         observe = np.eye(6)
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
         observe = observe[known]
@@ -142,7 +142,7 @@ def contradictions(
     The combination of two contradicting values is supported by neither.
     """
     found = []
-    deviation = prior.deviation(T_a_b)
+    deviation = prior.step_from(T_a_b)
     for k in np.flatnonzero(np.isfinite(prior.std)):
         both = float(np.sqrt(covariance[k, k] + prior.std[k] ** 2))
         distance = abs(float(deviation[k]))

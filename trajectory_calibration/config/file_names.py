@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Names of files and folders out of names of frames, sensors and recordings."""
+"""File and folder names made from the names of frames, sensors and recordings."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import re
 
 
 def file_name(name: str) -> str:
-    """Return a name that stays in its folder, of letters, digits and ``_ . + -``, not hidden."""
+    """Return a name of letters, digits and ``_ . + -``: no folder, no hidden file."""
     return re.sub(r'^\.', '_', re.sub(r'[^\w.+-]', '_', name.strip('/'))) or '_'
 
 
 def file_names(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
-    """Return a name of its own for each, other than those ``taken``; equal ones get a number.
+    """Return a unique file name for each name, none of them in ``taken``; duplicates are numbered.
 
-    Names that differ in case only count as equal, as some file systems have it.
+    Names that differ only in case count as equal, as on some file systems.
     """
-    used, found = {name.casefold() for name in taken}, []
+    used, unique = {name.casefold() for name in taken}, []
     for name in names:
-        one, count = file_name(name), 1
-        while (own := one if count == 1 else f'{one}_{count}').casefold() in used:
+        stem, count = file_name(name), 1
+        while (candidate := stem if count == 1 else f'{stem}_{count}').casefold() in used:
             count += 1
-        used.add(own.casefold())
-        found.append(own)
-    return found
+        used.add(candidate.casefold())
+        unique.append(candidate)
+    return unique

@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of the extrinsic beforehand: a tape measure, a drawing, a mounting plate.
+"""The prior of the extrinsic: from a tape measure, a drawing, a mounting plate.
 
 A prior is written as text, so that a ROS parameter and a command line can hold it:
-``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``; ``-`` stands for
-an unknown component, one number for all three, and a standard deviation of 0 fixes a component.
+``prior_translation: '0.3,-,0.1'`` and ``prior_translation_std: '0.01'``. ``-`` is an unknown
+component, a single number is for all three, and a standard deviation of 0 fixes a component.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FIXED = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """A normal distribution of the extrinsic; unknown components have infinite width.
+    """A normal distribution of the extrinsic; unknown components have an infinite std.
 
     Attributes
     ----------
@@ -40,11 +40,11 @@ class Prior:
 
     @property
     def given(self) -> bool:
-        """Whether anything is known beforehand."""
+        """Whether any component is known."""
         return bool(np.isfinite(self.std).any())
 
-    def deviation(self, T_a_b: FloatArray) -> FloatArray:
-        """Return (6,) the step from an extrinsic to the prior."""
+    def step_from(self, T_a_b: FloatArray) -> FloatArray:
+        """Return the (6,) step from an extrinsic to the prior, metres and radians."""
         return se3.step_between(
             T_a_b, se3.from_rotation_translation(self.rotation, self.translation))
 
@@ -52,15 +52,15 @@ class Prior:
 def parse_prior(
     translation: str, translation_std: str, rotation_rpy_deg: str, rotation_std_deg: str,
 ) -> Prior:
-    """Read a prior from the four settings; an empty text gives none.
+    """Read a prior from the four settings; an empty text is no prior.
 
-    A standard deviation without a value says nothing, so that whoever sets one parameter at a
-    time can begin with it.
+    A standard deviation without a value is ignored: parameters that are set one at a time can
+    start with it.
 
     Raises
     ------
     ConfigError
-        Text that is not three numbers, a value without a standard deviation.
+        A text is not three numbers, or a value has no standard deviation.
 
     """
     t, t_std = _component('prior_translation', translation, translation_std)
@@ -74,25 +74,25 @@ def parse_prior(
 
 
 def _component(name: str, values: str, std: str) -> tuple[FloatArray, FloatArray]:
-    """Return (3,) values, NaN where unknown, and (3,) widths, infinite there."""
+    """Return (3,) values, NaN if unknown, and (3,) standard deviations, infinite if unknown."""
     if values.strip() and not std.strip():
         raise ConfigError(
             f'{name}_std is empty, but {name} is {values!r}, needed both; give {name}_std too (of '
             f'a running node, set {name}_std first and clear it last)')
-    value, width = _three(name, values), _three(f'{name}_std', std)
-    if (width < 0).any():
+    value, sigma = _three_numbers(name, values), _three_numbers(f'{name}_std', std)
+    if (sigma < 0).any():
         raise ConfigError(f'{name}_std is {std!r}, needed numbers from 0 up')
     if len(std.split(',')) == 1:
-        width = np.where(np.isnan(value), np.nan, width)
-    if (np.isnan(width) & ~np.isnan(value)).any() and name == 'prior_translation':
+        sigma = np.where(np.isnan(value), np.nan, sigma)
+    if (np.isnan(sigma) & ~np.isnan(value)).any() and name == 'prior_translation':
         raise ConfigError(f'{name}_std is {std!r}, needed a number for each one of {values!r}')
-    if values.strip() and (np.isnan(value) & ~np.isnan(width)).any():
+    if values.strip() and (np.isnan(value) & ~np.isnan(sigma)).any():
         raise ConfigError(f'{name} is {values!r}, needed a number for each one of {std!r}')
-    return value, np.where(np.isnan(value) | np.isnan(width), np.inf, width)
+    return value, np.where(np.isnan(value) | np.isnan(sigma), np.inf, sigma)
 
 
-def _three(name: str, text: str) -> FloatArray:
-    """Return (3,) numbers of a text, NaN where unknown; all are in an empty one."""
+def _three_numbers(name: str, text: str) -> FloatArray:
+    """Return the (3,) numbers of a text, NaN if unknown; an empty text is three unknowns."""
     parts = [part.strip() for part in (text if text.strip() else '-,-,-').split(',')]
     if len(parts) == 1 and name.endswith('_std'):
         parts *= 3

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Every setting of a calibration: its default, its range, and what it means.
+"""Every setting of a calibration: its default, its range and its meaning.
 
 The command line, the node's parameters and ``config/calibration.yaml`` derive from the fields
-of ``CalibrationConfig``; nothing has a second default anywhere else.
+of ``CalibrationConfig``: no default is written twice.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from trajectory_calibration.solvers import (
 
 @dataclass(frozen=True)
 class Option:
-    """One field of a configuration, as the command line and the node need it.
+    """One field of a configuration, for the command line and the node.
 
-    ``help`` is one sentence with the unit. A number has a closed range, a word its choices, to
-    which other packages add where it is ``extensible``.
+    ``help`` is one sentence with the unit. A number has a closed range, a word has choices;
+    other packages can add choices if it is ``extensible``.
     """
 
     name: str
@@ -48,12 +48,12 @@ class Option:
         return type(self.default)
 
     def check(self, value: Any) -> Any:
-        """Return the value in this option's type; raise ConfigError where it does not fit.
+        """Return the value in this option's type; raise ConfigError if it does not fit.
 
-        Numbers of NumPy, which registers its types as these, become Python's own. A number for
-        a text is its text: YAML and ROS make one of what a person types as '0.01'.
+        NumPy numbers become Python numbers. A number given for a text becomes its text: YAML
+        and ROS read a typed '0.01' as a number.
         """
-        # More than a float holds, and than Python writes.
+        # A longer integer fits no float, and Python refuses to print it.
         if isinstance(value, int) and value.bit_length() > 1000:
             raise ConfigError(f'{self.name} is an integer of too many digits')
         kinds: Any = {float: Real, int: Integral, str: (str, Real)}.get(self.kind, ())
@@ -73,14 +73,14 @@ class Option:
 
 
 def _option(default: Any, text: str, *limits: float, **words: Any) -> Any:
-    return field(default=default, metadata={'told': (default, text, *limits), 'words': words})
+    return field(default=default, metadata={'option': (default, text, *limits), 'words': words})
 
 
-# The solvers that find a scale and a drift, for the help texts.
-_FINDS_SCALE, _FINDS_DRIFT = (
+# Names for the help texts.
+_SCALE_SOLVERS, _DRIFT_SOLVERS = (
     ' or '.join(solvers_that_estimate(term)) for term in ('scale', 'systematic_drift'))
 
-# What may become of a term that both trajectories share.
+# Modes of the terms beside the extrinsic: time offset, scale, systematic drift.
 MODES = ('fixed', 'estimate', 'auto')
 _MODES = 'estimate: always estimated; auto: estimated if significant'
 
@@ -119,11 +119,11 @@ class CalibrationConfig:
     scale: float = _option(
         1.0, 'metres of a per metre of b; the positions of b are multiplied by it', 1e-6, 1e6)
     scale_mode: str = _option(
-        'auto', f'fixed: scale is used; {_MODES}, unless scale is not 1. Only {_FINDS_SCALE} '
+        'auto', f'fixed: scale is used; {_MODES}, unless scale is not 1. Only {_SCALE_SOLVERS} '
         'estimates it', choices=MODES)
     systematic_drift_mode: str = _option(
         'auto', 'constant drift of b per metre along its axes. fixed: none; '
-        f'{_MODES}. Only {_FINDS_DRIFT} estimates it', choices=MODES)
+        f'{_MODES}. Only {_DRIFT_SOLVERS} estimates it', choices=MODES)
     dnlo_c: float = _option(
         0.01, 'cost c of rejecting a motion (dnlo): a motion with a larger squared residual is an '
         'outlier', 0.0, 1e6)
@@ -159,7 +159,7 @@ class CalibrationConfig:
         5.0, 'standard deviation above which a direction of the rotation is unobserved (shown as '
         'unknown), degrees', 0.0, 180.0)
 
-    # Settings of a saved result that this version does not have.
+    # Settings of a saved result that this version does not know.
     _unknown: ClassVar[Mapping[str, Any]] = {}
 
     input_checks: bool = _option(
@@ -179,14 +179,14 @@ class CalibrationConfig:
         if self.time_offset_mode == 'estimate' and self.max_time_offset == 0:
             raise ConfigError('time_offset_mode is estimate and max_time_offset 0, needed more '
                               'than 0 seconds to look in, or time_offset_mode fixed')
-        # Read now, so that a mistake shows before any data is loaded.
+        # Parsed now: a mistake shows before any data is loaded.
         _ = self.prior
 
     def mode(self, term: str) -> str:
         """Return 'fixed', 'estimate' or 'auto' for 'time_offset', 'scale', 'systematic_drift'.
 
-        A scale that is given is known: it turns 'auto' into 'fixed', as does a time offset that
-        may not be any. A time offset that is given is where the search begins.
+        With 'auto', a given scale is 'fixed', and so is the time offset if there is no search.
+        A given time offset is only the start of the search.
         """
         mode: str = getattr(self, f'{term}_mode')
         known = {'scale': self.scale != type(self).scale,
@@ -195,7 +195,7 @@ class CalibrationConfig:
 
     @property
     def prior(self) -> Prior:
-        """Return what is known of the extrinsic beforehand."""
+        """Return the prior of the extrinsic."""
         return parse_prior(self.prior_translation, self.prior_translation_std,
                            self.prior_rotation, self.prior_rotation_std)
 
@@ -203,7 +203,7 @@ class CalibrationConfig:
     def options(cls) -> Iterator[Option]:
         """Yield every field with its type, default, help and limits."""
         for item in fields(cls):
-            yield Option(item.name, *item.metadata['told'], **item.metadata['words'])
+            yield Option(item.name, *item.metadata['option'], **item.metadata['words'])
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> CalibrationConfig:
@@ -216,11 +216,11 @@ class CalibrationConfig:
 
     @classmethod
     def from_saved(cls, values: Mapping[str, Any]) -> CalibrationConfig:
-        """Rebuild the configuration of a saved result, which other packages may have had part in.
+        """Rebuild the configuration of a saved result, also of one from other packages.
 
-        A setting, a solver or a word that is not known here is kept as it was, and refused by
-        ``from_dict(config.to_dict())``: where it is to calibrate once more. Raises ConfigError
-        for numbers and texts that no setting can be.
+        Settings, solvers and words that are unknown here are kept unchanged; ``from_dict``
+        refuses them before another calibration. Raises ConfigError for numbers out of range and
+        values of the wrong type.
         """
         config = cls()
         options = {option.name: option for option in cls.options()}

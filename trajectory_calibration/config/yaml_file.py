@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Text and YAML in and out of files, whole or not at all, or a named error."""
+"""Read and write text and YAML files; a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from typing import Any
 
 from trajectory_calibration.errors import CalibrationError, in_words, ResultError
 
-# What the YAML library lets through besides its own errors: dates that no calendar has,
-# "!!int abc", "!!int ''", "!!bool x", numbers of more digits than Python converts, brackets
-# nested deeper than Python calls. Found by random text.
+# Errors of malformed YAML that the library does not turn into its own: impossible dates,
+# "!!int abc", "!!int ''", "!!bool x", integers that are too long for Python, brackets nested
+# beyond the recursion limit. Found by random text.
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
-# What YAML 1.1 takes for a truth value or for nothing.
-_WORDS_OF_YAML = frozenset((
+# Words that YAML 1.1 reads as booleans, null or floats.
+_YAML_KEYWORDS = frozenset((
     'y', 'n', 'yes', 'no', 'on', 'off', 'true', 'false', 'null', 'nan', 'inf'))
 
 
 def read_yaml(path: Path, what: str, error: type[CalibrationError]) -> Any:
-    """Return what a YAML file holds, read in safe mode.
+    """Return the content of a YAML file, read in safe mode.
 
     Raises
     ------
     CalibrationError
-        ``error``, which says that ``path`` cannot be read as ``what``.
+        ``error``, with the message that ``path`` cannot be read as ``what``.
 
     """
     try:
@@ -40,18 +40,17 @@ def read_yaml(path: Path, what: str, error: type[CalibrationError]) -> Any:
 
 
 def parse_yaml(text: str, failure: str, error: type[CalibrationError]) -> Any:
-    """Return what a text of YAML holds; raise ``error`` with ``failure`` and the cause."""
-    # The YAML library loads here because most runs need none.
+    """Return the content of a YAML text; raise ``error`` with ``failure`` and the cause."""
+    # Imported here because most runs read no YAML.
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
     try:
         return YAML(typ='safe', pure=True).load(text)
     except YAMLError as cause:
-        # The library calls a text that it did not read from a file by a name of its own.
         reason = str(cause).replace('in "<unicode string>", ', 'in ')
         raise error(f'{failure}: {reason}') from cause
     except _MALFORMED as cause:
-        # What it looks up are the values: nothing is missing.
+        # in_words would call a failed lookup a missing key; here a value is malformed.
         reason = 'malformed value' if isinstance(cause, LookupError) else in_words(cause)
         raise error(f'{failure}: {reason}') from cause
 
@@ -59,10 +58,10 @@ def parse_yaml(text: str, failure: str, error: type[CalibrationError]) -> Any:
 def to_yaml(data: dict[str, Any]) -> str:
     """Return plain data as YAML that means the same in versions 1.1 and 1.2; keys stay in order.
 
-    PyYAML, and so ROS and xacro, read version 1.1: there ``1e-05`` is a text, ``off`` a truth
-    value and ``1:30`` a time.
+    PyYAML, and so ROS and xacro, read version 1.1: there ``1e-05`` is a text, ``off`` a boolean
+    and ``1:30`` a time.
     """
-    # Loads here because most uses of a result never touch YAML.
+    # Imported here because most uses of a result need no YAML.
     from ruamel.yaml import YAML
     from ruamel.yaml.representer import SafeRepresenter
 
@@ -94,7 +93,7 @@ def number(value: float) -> str:
 
 def quoted(text: str) -> str:
     """Return a text in double quotes, as YAML 1.1 and 1.2 both read it."""
-    # The escapes of Python are escapes of YAML, too.
+    # Python's escapes are valid in YAML, too.
     escaped = ''.join(
         character if character.isprintable() and character != '\\' else
         character.encode('unicode_escape').decode() for character in text)
@@ -102,19 +101,18 @@ def quoted(text: str) -> str:
 
 
 def _is_plain(text: str) -> bool:
-    """Tell whether no version of YAML takes a text without quotes for anything but a text."""
-    # A word that begins with a letter or a slash; or a sentence of such, which the library
-    # quotes where it has to.
+    """Return whether every version of YAML reads the text without quotes as this text."""
+    # The first word starts with a letter or a slash; the library quotes the rest if needed.
     first = text.partition(' ')[0]
     return (first != '' and re.fullmatch(r'/?[A-Za-z][\w/.,;()%+-]*', first) is not None
-            and text.lower() not in _WORDS_OF_YAML and text.isprintable())
+            and text.lower() not in _YAML_KEYWORDS and text.isprintable())
 
 
 def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> None:
-    """Write plain data as YAML, whole or not at all; it is on disk when this returns.
+    """Write plain data as YAML, completely or not at all; it is on disk when this returns.
 
-    Without ``overwrite``, the name of the temporary file is a claim to ``path``: of several
-    processes one gets it. A claim that a power cut left behind stays, and so does the name.
+    Without ``overwrite``, the temporary file locks ``path``: only one of several processes
+    writes it. After a power cut the temporary file remains, and the name stays locked.
 
     Raises
     ------
@@ -124,11 +122,11 @@ def write_yaml(path: Path, data: dict[str, Any], *, overwrite: bool = True) -> N
         The file cannot be written.
 
     """
-    _write(path, to_yaml(data), ResultError, overwrite=overwrite, lasting=True)
+    _write(path, to_yaml(data), ResultError, overwrite=overwrite, sync=True)
 
 
 def make_folder(path: Path, error: type[CalibrationError]) -> None:
-    """Make a folder and those above it; raise ``error`` where that cannot be."""
+    """Make a folder and its parents; raise ``error`` if this fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
@@ -138,40 +136,39 @@ def make_folder(path: Path, error: type[CalibrationError]) -> None:
 def write_text(
     path: Path, text: str | bytes, error: type[CalibrationError] = ResultError,
 ) -> None:
-    """Write over what is at ``path``, whole or not at all, in UTF-8, in a folder that is made."""
+    """Write a UTF-8 file, completely or not at all; make its folder, overwrite an older file."""
     make_folder(path.parent, error)
     _write(path, text, error)
 
 
 def _write(
     path: Path, data: str | bytes, error: type[CalibrationError], *, overwrite: bool = True,
-    lasting: bool = False,
+    sync: bool = False,
 ) -> None:
-    """Write a file through a temporary one in the same folder and a rename.
+    """Write a temporary file in the same folder, then rename it.
 
-    Of a link, the file that it names; a device or a pipe takes the bytes as they are. ``lasting``
-    waits for the disk: what can be made again need not. Raises ``error`` and FileExistsError.
+    A link keeps its place and its target is replaced; a device or a pipe is written directly.
+    ``sync`` waits for the disk. Raises ``error`` and FileExistsError.
     """
     if isinstance(data, str):
-        # The name of a file need be no UTF-8, and stands on a page.
+        # A report shows file names, which need not be UTF-8.
         data = data.encode(errors='backslashreplace')
     try:
         if overwrite:
             if path.exists() and not path.is_file() and not path.is_dir():
                 path.write_bytes(data)
                 return
-            # Not before: /dev/stdout is a link to what has no name.
+            # After the test for devices: /dev/stdout is a link to a pipe without a path.
             path = path.resolve() if path.is_symlink() else path
         temporary = path.with_name(f'.{path.name}.{os.urandom(8).hex() if overwrite else "new"}')
-        # Not through ``tempfile``, whose files are private: the kernel gives this one the
-        # permissions of any new file of this user.
+        # Not ``tempfile``: its files are private, this one gets the user's usual permissions.
         with temporary.open('xb') as stream:
             try:
                 if not overwrite and os.path.lexists(path):
                     raise FileExistsError(path)
                 stream.write(data)
                 stream.flush()
-                if lasting:
+                if sync:
                     os.fsync(stream.fileno())
                 temporary.replace(path)
             finally:
@@ -181,5 +178,5 @@ def _write(
     except OSError as cause:
         raise error(f'{path} cannot be written: {in_words(cause)}') from cause
     except ValueError as cause:
-        # A path without a name, or with a zero byte in it.
+        # A path without a name, or one with a zero byte.
         raise error(f'{str(path)!r} cannot be written: {cause}') from cause

@@ -121,7 +121,7 @@ def against_priors(
     for k, prior in priors.items():
         known = np.isfinite(prior.std)
         P = block_of(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
-        deviation = prior.deviation(fused.X[k])[known]
+        deviation = prior.step_from(fused.X[k])[known]
         scale = np.sqrt(np.diagonal(P))
         worst = float(np.abs(deviation / scale).max())
         # Of the largest of a few normal deviations, so that the number of components is free.

@@ -227,5 +227,5 @@ def _prior_rows(X: FloatArray, priors: Mapping[int, Prior]) -> tuple[FloatArray,
         known = np.flatnonzero(np.isfinite(prior.std))
         std = np.maximum(prior.std[known], _FIXED)
         rows.append(np.eye(width)[6 * s - 6 + known] / std[:, None])
-        sides.append(prior.deviation(X[s])[known] / std)
+        sides.append(prior.step_from(X[s])[known] / std)
     return np.concatenate(rows), np.concatenate(sides)
