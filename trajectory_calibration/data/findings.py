@@ -25,7 +25,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'clock-offset': ('note', 'a clock offset was found and added to the stamps of b'),
     'clock-offset-unsteady': ('serious', 'a large clock offset that changes: two vehicles?'),
     'clock-uneven': ('warning', 'one clock deviates from a constant drift'),
-    'direction-unobserved': ('serious', 'unobservable: the motion does not determine this direction'),
+    'direction-unobserved': ('serious', 'the motion does not determine this direction'),
     'direction-weak': ('warning', 'this direction is determined, but badly'),
     'extrinsic-unsteady': ('serious', 'the extrinsic, or the scale, changes during the drive'),
     'frame-renamed': ('note', 'a frame lost its leading slash, which tf2 refuses'),
