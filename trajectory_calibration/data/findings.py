@@ -63,7 +63,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'stamps-are-numbers': ('warning', 'the times may be frame numbers'),
     'stamps-unpadded': ('note', 'times were written as sec.nsec without leading zeros; repaired'),
     'systematic-drift': ('note', 'one trajectory has a systematic drift; corrected'),
-    'time-unit': ('warning', "implausible time steps: another unit of time?"),
+    'time-unit': ('warning', 'implausible time steps: another unit of time?'),
     'uncorrected': ('warning', 'a scale, drift or clock offset that this solver cannot correct'),
     'worlds-differ': ('serious', 'positions and orientations of one sensor are in two worlds'),
     'zhuang-large-rotation': ('note', 'the chosen solver is inaccurate at large rotations'),
