@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig in the formats of other tools: as a whole, and sensor by sensor."""
+"""Export of a rig to the formats of other tools: as a whole, and per sensor."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from trajectory_calibration.outputs.exports import (
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.rig.result import RigResult
 
-# The rig itself, and the formats in which it is written as a whole: one robot, a launch file,
-# Autoware's kit, rows of poses.
+# The saved rig, and the files of the whole rig by format.
 RIG_FILE = 'rig.yaml'
 RIG_FILES = {
     'urdf': 'rig.urdf', 'launch': 'static_transforms.launch.py',
@@ -29,7 +28,7 @@ RIG_FILES = {
 
 
 def require_own_frames(frames: Mapping[str, str]) -> None:
-    """Raise ConfigError where two sensors, by name, have one frame."""
+    """Raise ConfigError if two sensors have the same frame; ``frames`` are by sensor."""
     owners: dict[str, str] = {}
     for name, frame in frames.items():
         if owners.setdefault(frame, name) != name:
@@ -38,9 +37,9 @@ def require_own_frames(frames: Mapping[str, str]) -> None:
 
 
 def placements(rig: RigResult) -> list[Placement]:
-    """Return every sensor but the bases, under the frame of its base.
+    """Return the placement of every sensor, except the bases, in the frame of its base.
 
-    Raises ConfigError where two sensors have one frame.
+    Raises ConfigError if two sensors have the same frame.
     """
     require_own_frames({name: sensor.frame for name, sensor in rig.sensors.items()})
     return [
@@ -53,16 +52,16 @@ def placements(rig: RigResult) -> list[Placement]:
 
 
 def placements_by_folder(rig: RigResult) -> dict[str, Placement]:
-    """Return ``placements`` by the names of their folders, which are no other file's."""
+    """Return ``placements`` by folder name; no folder has the name of a file of the rig."""
     items = placements(rig)
     names = file_names((item.child for item in items), (RIG_FILE, *RIG_FILES.values()))
     return dict(zip(names, items, strict=True))
 
 
 def rig_exports(rig: RigResult, placed: Mapping[str, Placement]) -> dict[str, bytes]:
-    """Return the files of the whole tree, and a folder of all formats for each sensor, by path.
+    """Return the files of the whole rig, and of one folder per sensor, by path.
 
-    ``placed`` is ``placements_by_folder``; what of a sensor is ``kept_back`` leaves it out.
+    ``placed`` is ``placements_by_folder``. Sensors with a ``kept_back`` component are left out.
     """
     items = {folder: item for folder, item in placed.items() if not item.kept_back}
     if not items:
@@ -74,13 +73,13 @@ def rig_exports(rig: RigResult, placed: Mapping[str, Placement]) -> dict[str, by
 
 
 def rig_export_files(folders: Iterable[str]) -> list[str]:
-    """Return the paths that ``rig_exports`` has where nothing is kept back."""
+    """Return the paths of ``rig_exports`` if no sensor is left out."""
     return [*RIG_FILES.values(),
             *(f'{folder}/{name}' for folder in folders for name in EXPORT_FILES)]
 
 
 def encode_rig(rig: RigResult, name: str, items: Iterable[Placement]) -> bytes:
-    """Return those ``placements`` of a rig as one file in a format of ``RIG_FILES``."""
+    """Return ``placements`` of a rig as one file in a format of ``RIG_FILES``."""
     if name == 'launch':
         return launch_file(items).encode()
     if name == 'autoware':

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained HTML page that shows what a rig rests on."""
+"""The report of a rig: one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -49,10 +49,7 @@ def render_rig(
     rig: RigResult, trajectories: Mapping[str, Trajectory] | None = None,
     record: Record | None = None,
 ) -> str:
-    """Return the page of a rig.
-
-    ``trajectories``, by the names of the sensors, add the tracks carried into the base.
-    """
+    """Return the report of a rig; ``trajectories``, by sensor, add the tracks in the base."""
     views = sensor_views([
         Mounted(name, rig.sensors[name].T_base_sensor, rig.sensors[name].covariance,
                 rig.sensors[name].status, _colour(rig, name)) for name in rig.trees[rig.base]])
@@ -61,17 +58,17 @@ def render_rig(
         _box(rig, title),
         section(1, 'Where is each sensor?', views, 'Every pose is in the frame of the base.'),
         section(2, 'Do the pairs agree?', [_misfits(rig)],
-                'Every pair was calibrated alone; here is its difference from the rig.'),
+                'Every pair was calibrated alone; the table has its residual from the rig.'),
         section(3, 'How noisy is each sensor?', [_noise(rig)],
-                'Found from the differences of pairs, which needs three sensors or more.'),
+                'Estimated from the differences of pairs, which needs three sensors or more.'),
         section(4, 'Do the tracks coincide?', _tracks(rig, trajectories or {}),
-                'All tracks carried into the base, in its clock and unit, laid on each other.'),
+                'All tracks as poses of the base, in its clock and unit, aligned as a whole.'),
         section(5, 'Record', record_cards(
             record, rig.config.calibration, rig.findings, rig.version)))), navigation=_NAVIGATION)
 
 
 def _colour(rig: RigResult, name: str) -> str:
-    """Return a colour that reads on light and dark paper, one for each sensor."""
+    """Return the colour of a sensor, legible on light and dark backgrounds."""
     return f'hsl({(205 + 137 * list(rig.sensors).index(name)) % 360} 65% 48%)'
 
 
@@ -86,7 +83,7 @@ def _box(rig: RigResult, title: str) -> str:
         if sensor.name != sensor.base:
             marked = (f'{row} {row.word}' if row.word in ('weak', 'prior') else str(row)
                       for row in sensor_rows(rig, sensor))
-            # One table of several trees says in which frame a pose is.
+            # With several trees the table needs the frame of each pose.
             rows.append((*(sensor.name, sensor.base)[:len(rig.trees)], *marked,
                          clock_text(sensor), scale_text(sensor)))
     rows += [(f'{name} (no answer)',) for name in rig.unplaced if name not in rig.sensors]
@@ -100,14 +97,14 @@ def _box(rig: RigResult, title: str) -> str:
 
 
 def _misfits(rig: RigResult) -> Figure:
-    """Return a table of how far each pair is from the rig."""
+    """Return a table of the residuals of the pairs."""
     rows: list[tuple[str, ...]] = []
     for pair in rig.pairs:
         name = f'{pair.parent} - {pair.child}'
         if pair.failure:
             rows.append((name, '', pair.failure[:80], '', '', 'no'))
             continue
-        # Components that the pair leaves unobserved agree with anything.
+        # Components that are unobserved by the pair are left out.
         known = pair.std < limits_of(rig.config.calibration)
         (t, R), (s_t, s_R) = sizes(pair.residual * known), sizes(pair.std * known)
         rows.append((
@@ -118,10 +115,10 @@ def _misfits(rig: RigResult) -> Figure:
     wrong = [f'{pair.parent} - {pair.child}' for pair in rig.pairs if pair.p_value < FALSE_ALARM]
     used = sum(pair.used and not pair.failure for pair in rig.pairs)
     return Figure(
-        'chi-squared', table(('pair', 'chi-squared', 'difference +- deviation', 'rotation',
+        'chi-squared', table(('pair', 'chi-squared', 'translation +- std', 'rotation +- std',
                               'poses', 'used'), rows, 'numbers'),
         f'{used} of {counted(len(rig.pairs), "pair")} are used in the answer'
-        + (f'; beyond chance: {", ".join(wrong)}.' if wrong else '.'), wide=True)
+        + (f'; contradictions: {", ".join(wrong)}.' if wrong else '.'), wide=True)
 
 
 def _noise(rig: RigResult) -> Figure | str:
@@ -143,11 +140,11 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> list[Figu
         track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
                  rig.sensors[name].T_base_sensor) for name in names],
         round(1e9 * rig.config.calibration.max_gap))
-    laid = _laid(grid)
-    return [_from_above(rig, names, laid), *_apart(names, laid, grid)]
+    aligned = _aligned(grid)
+    return [_from_above(rig, names, aligned), *_distances(names, aligned, grid)]
 
 
-def _laid(grid: Grid) -> FloatArray:
+def _aligned(grid: Grid) -> FloatArray:
     """Return (S, K, 3) positions of the base in the world of the first sensor; NaN: unknown."""
     found = np.full((*grid.known.shape, 3), np.nan)
     for s, (poses, known) in enumerate(zip(grid.poses, grid.known, strict=True)):
@@ -158,9 +155,9 @@ def _laid(grid: Grid) -> FloatArray:
     return found
 
 
-def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> Figure:
-    points = laid[:, evenly(laid.shape[1], _POINTS)]
-    known = laid.reshape(-1, 3)
+def _from_above(rig: RigResult, names: list[str], aligned: FloatArray) -> Figure:
+    points = aligned[:, evenly(aligned.shape[1], _POINTS)]
+    known = aligned.reshape(-1, 3)
     known = known[np.isfinite(known).all(axis=1)]
     axes = np.sort(np.argsort(-np.ptp(known, axis=0), kind='stable')[:2])
     scene = Scene.around(known[:, axes], WIDE, HIGH)
@@ -170,16 +167,16 @@ def _from_above(rig: RigResult, names: list[str], laid: FloatArray) -> Figure:
                    f'{1.5 + 0.8 * k:.1f};opacity:.7')
     scene.scale_bar()
     return Figure(
-        'all tracks', scene, f'{len(names)} tracks, laid on that of {names[0]}.',
+        'all tracks', scene, f'{len(names)} tracks, aligned to that of {names[0]}.',
         [(_colour(rig, name), name) for name in names], wide=True)
 
 
-def _apart(names: list[str], laid: FloatArray, grid: Grid) -> list[Figure]:
+def _distances(names: list[str], aligned: FloatArray, grid: Grid) -> list[Figure]:
     at = evenly(len(grid.stamps_ns), _POINTS)
     seconds = (grid.stamps_ns[at] - grid.stamps_ns[0]) * 1e-9
-    apart = np.linalg.norm(laid[1:, at] - laid[:1, at], axis=2)
+    distances = np.linalg.norm(aligned[1:, at] - aligned[:1, at], axis=2)
     figures = []
-    for name, distance in zip(names[1:], apart, strict=True):
+    for name, distance in zip(names[1:], distances, strict=True):
         if not np.isfinite(distance).any():
             continue
         plot = Plot((0.0, seconds[-1]), from_zero(distance), x_label='s', y_label='m')

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A rig as a person reads it on a terminal."""
+"""A rig as text for the terminal."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trajectory_calibration.outputs.screen import finding_lines
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.rig.result import RigResult, SensorAnswer
 
-# Beside a number, by its word.
+# Marks beside a number, by its status word.
 _MARKS = {'weak': 'w', 'prior': 'p', 'unknown': '', 'ok': ''}
 
 # Findings that are shown without -v.
@@ -27,9 +27,9 @@ def format_rig(
     rig: RigResult, *, truth: Mapping[str, FloatArray] | None = None, verbose: bool = False,
     terminal: Terminal | None = None,
 ) -> str:
-    """Return the screen of a rig: the sensors, then what a person should know.
+    """Return the text of a rig: sensors, then findings.
 
-    ``truth`` adds the errors against known (4, 4) poses in the base.
+    ``truth`` adds errors against ground truth: (4, 4) poses in the base, by sensor.
     """
     terminal = terminal or Terminal()
     lines = []
@@ -61,7 +61,7 @@ def format_rig(
 
 
 def loops_text(rig: RigResult) -> str:
-    """Return whether the loops close within the standard deviations."""
+    """Return the chi-squared test of the loops as text."""
     if not rig.degrees:
         return 'no loop checks the answer'
     verdict = 'disagree:' if rig.p_value < FALSE_ALARM else 'close with'
@@ -70,23 +70,23 @@ def loops_text(rig: RigResult) -> str:
 
 
 def sensor_rows(rig: RigResult, sensor: SensorAnswer) -> tuple[Row, ...]:
-    """Return x, y, z, roll, pitch, yaw of a sensor in its base, with deviations and marks."""
+    """Return x, y, z, roll, pitch, yaw of a sensor in its base, with standard deviations."""
     return pose_rows(sensor.T_base_sensor, sensor.covariance, sensor.status,
                      rig.config.calibration)
 
 
 def clock_text(sensor: SensorAnswer) -> str:
-    """Return the clock offset and its deviation, ms."""
+    """Return the clock offset and its standard deviation, ms."""
     return f'{1e3 * sensor.clock.offset_s + 0.0:+.1f} +- {1e3 * sensor.clock.offset_std_s:.1f}'
 
 
 def scale_text(sensor: SensorAnswer) -> str:
-    """Return the scale and its deviation."""
+    """Return the scale and its standard deviation."""
     return '1' if sensor.scale == 1.0 else f'{sensor.scale:.4f} +- {sensor.scale_std:.4f}'
 
 
 def noise_texts(sensor: SensorAnswer) -> list[str]:
-    """Return the noise of a pose, mm and deg, and its drift after 1 m; '' where not known."""
+    """Return the noise of a pose, mm and deg, and its drift after 1 m; '' if unknown."""
     noise = sensor.noise
     return [''] * 4 if noise is None else [f'{value:.2g}' for value in (
         1e3 * noise.white_m, np.rad2deg(noise.white_rad),

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained HTML page that shows what a calibration rests on."""
+"""The report of a calibration: one self-contained HTML page with answer, figures and record."""
 
 from trajectory_calibration.outputs.report.record import hash_inputs, Record
 from trajectory_calibration.outputs.report.render import (

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The verdict box: the answer, how well it is known, what to do, and text to copy."""
+"""The verdict box: answer, standard deviations, next step, and text to copy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trajectory_calibration.outputs.report.page import filled, next_step, senten
 from trajectory_calibration.outputs.screen import details
 from trajectory_calibration.result import CalibrationResult
 
-# Formats to copy, and what stands on their tabs.
+# Formats to copy, and the titles of their tabs.
 _FORMATS = {
     'urdf': 'URDF', 'static-tf': 'static transform', 'autoware': 'Autoware', 'kalibr': 'Kalibr',
     'matrix': '4 × 4', 'tum': 'TUM', 'yaml': 'YAML'}
@@ -25,16 +25,16 @@ _MARKS = {'ok': '●', 'weak': '◐', 'unknown': '○', 'prior': '◆'}
 # Decades of the gauge below and above the limit of 'weak'.
 _BELOW, _ABOVE = 2.0, 1.5
 _GAUGE = 120
-# Errors beyond this many standard deviations contradict the deviations, or the truth.
+# Errors beyond this many standard deviations contradict these, or the ground truth.
 _FAR = 3.0
-# What stands beside the answer.
+# Details beside the answer.
 _FACTS = ('data', 'fit residual', 'scale', 'clock offset', 'clock drift', 'jumps', 'method')
 
 
 def verdict_box(result: CalibrationResult, rows: tuple[Row, ...], driven: str = '') -> str:
-    """Return the box that begins a report; without ``driven`` that of a notebook, which is less.
+    """Return the box of a report; without ``driven`` the shorter one of a notebook.
 
-    ``driven`` says how far sensor a went.
+    ``driven`` is the path length and duration of sensor a as text.
     """
     a, b = escape(result.frame_a), escape(result.frame_b)
     config, verdict = result.config, verdict_of(result, rows)
@@ -59,10 +59,10 @@ def _is_far(row: Row) -> bool:
 
 
 def _facts(result: CalibrationResult, driven: str) -> str:
-    """Return what the answer was made of, in the words of the screen."""
-    made_of = {'driven': driven, **details(result)}
-    inside = ''.join(f'<dt>{name}</dt><dd>{escape(made_of[name].replace("+-", "±"))}</dd>'
-                     for name in ('driven', *_FACTS) if name in made_of)
+    """Return the details of the answer, worded as on the terminal."""
+    facts = {'driven': driven, **details(result)}
+    inside = ''.join(f'<dt>{name}</dt><dd>{escape(facts[name].replace("+-", "±"))}</dd>'
+                     for name in ('driven', *_FACTS) if name in facts)
     return f'<dl class="facts">{inside}</dl>'
 
 
@@ -85,10 +85,10 @@ def _row(row: Row, *, with_error: bool) -> str:
 
 
 def _gauge(row: Row) -> str:
-    """Return a bar as long as the logarithm of the deviation, with the two limits as ticks."""
+    """Return a bar on a logarithmic scale of the standard deviation, with ticks at both limits."""
     std = row.weak_limit if row.std is None else row.std
     values = np.array([std if row.is_known else np.inf, row.weak_limit, row.unobserved_limit])
-    # Of the decades that are shown.
+    # Decades from the left end.
     share = np.log10(np.maximum(values, 1e-12) / max(row.weak_limit, 1e-9)) + _BELOW
     width, *limits = np.clip(share / (_BELOW + _ABOVE), 0.02, 1.0) * _GAUGE
     canvas = Canvas(_GAUGE, 16)
@@ -96,7 +96,7 @@ def _gauge(row: Row) -> str:
         canvas.box(0, 5, length, 6, style)
     for x in limits:
         canvas.box(x, 1, 1, 14, 'tick')
-    return canvas.svg(f'deviation {row.word}')
+    return canvas.svg(f'standard deviation {row.word}')
 
 
 def _copies(result: CalibrationResult) -> str:
@@ -110,7 +110,7 @@ def _copies(result: CalibrationResult) -> str:
         try:
             there, back = (EXPORTS[name].write(item) for item in (forward, forward.inverted()))
         except CalibrationError:
-            # Two frames of one name have no place in a tree.
+            # Two frames with the same name are no transform.
             return ''
         words = EXPORTS[name].sentence
         tabs += filled(

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that the figures show, computed once from a result and its two trajectories."""
+"""The data of all figures, computed once from a result and its two trajectories."""
 
 from __future__ import annotations
 
@@ -26,25 +26,26 @@ from trajectory_calibration.outputs.report.parts import (
 from trajectory_calibration.outputs.report.tracks import compare_tracks, corrected_b, Tracks
 from trajectory_calibration.result import CalibrationResult
 
-# Residuals that are looked at, and those of one time scale.
+# Most residuals, and most and fewest motions of one time scale.
 _RESIDUALS, _OF_A_SCALE, _LEAST_OF_A_SCALE = 4000, 600, 6
 _QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
-# Parts of the path whose scale is compared.
+# Parts of the drive whose scales are compared.
 _SCALE_PARTS = 8
-# Seconds of the motions that tell the scale: the first that jumps leave half of, or the last.
+# Durations of motions for the scale, seconds: the first one of which at least half of the motions
+# have no jump, otherwise the last.
 _SCALE_SECONDS = (2.0, 1.0, 0.5, 0.2)
-# A scale that is so many times as uncertain as the others is not shown.
+# A scale is not shown if its standard deviation exceeds this many medians.
 _VAGUE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """What is left of the motions when b is carried over to a, in the axes of a.
+    """Residuals ``log(A^-1 C)`` of the motions, in the axes of a, metres and degrees.
 
-    ``values``, (M, 6) metres and degrees, at ``seconds``, the ends of the motions, with the
-    ``sigma`` that the identified noise makes likely; ``excluded``, (M,), across a jump. By time
-    scale, (S,): quantiles 5, 25, 50, 75, 95 % of the size, (S, 2, 5), and the ``expected`` root
-    mean square, (S, 2): metres, degrees.
+    ``values`` (M, 6) at ``seconds`` (M,), the ends of the motions; ``sigma`` (M, 6) are standard
+    deviations from the identified noise; ``excluded`` (M,): across a jump. For S time scales
+    ``scales_s``: ``by_scale`` (S, 2, 5) are the 5, 25, 50, 75, 95 % quantiles of the norms of
+    translation and rotation, ``expected`` (S, 2) their root mean squares from the noise.
     """
 
     seconds: FloatArray
@@ -56,17 +57,17 @@ class Residuals:
     expected: FloatArray
 
     def of_used(self) -> tuple[FloatArray, FloatArray]:
-        """Return (U, 6) values that are not excluded, or all, and those over their sigma."""
+        """Return (U, 6) values that are not excluded, or all, and the normalised ones."""
         used = ~self.excluded if not self.excluded.all() else slice(None)
         return self.values[used], self.values[used] / np.maximum(self.sigma[used], 1e-300)
 
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """One result and what its figures show.
+    """A result and the data of its figures.
 
-    ``scale``, (S, 3): over parts of the drive, in whose middles they stand (seconds), metres of a
-    per metre of b relative to the scale of the answer, and the standard deviations.
+    ``scale`` (S, 3): for each part of the drive the time of its middle (seconds), the scale of b
+    relative to that of the answer, and the standard deviation.
     """
 
     result: CalibrationResult
@@ -79,10 +80,10 @@ class ReportData:
 
     @property
     def need_deg(self) -> float | None:
-        """Return the rotation at which this noise would just give the limit of 'weak'.
+        """Return the rotation per motion, deg, that gives a standard deviation at 'weak'.
 
-        From the direction of the translation that is known best: deviation times gain is the
-        same for all of them. None where there is no covariance.
+        From the best known direction of the translation: standard deviation times gain is the
+        same for all directions. None without a covariance.
         """
         P, axes = self.result.covariance, np.array(self.result.observability.translation_axes)
         if P is None or not len(axes):
@@ -93,7 +94,7 @@ class ReportData:
 
     @property
     def driven(self) -> str:
-        """Return how far sensor a went, and how long that took."""
+        """Return the path length and duration of sensor a as text."""
         return f'{metres(self.tracks.path_m[-1])} in {self.tracks.seconds[-1]:.0f} s'
 
 
@@ -101,9 +102,9 @@ def report_data(
     result: CalibrationResult, a: Trajectory, b: Trajectory,
     T_a_b_true: FloatArray | None = None,
 ) -> ReportData:
-    """Compute what the figures show.
+    """Compute the data of the figures.
 
-    Raises AssociationError where the two have no common time under the clock of the result.
+    Raises AssociationError if the two have no common time with the clock of the result.
     """
     b = corrected_b(result, b)
     tracks = compare_tracks(result, a, b)
@@ -118,24 +119,23 @@ def _residuals(tracks: Tracks, result: CalibrationResult) -> Residuals:
     every = slice(None, None, max(1, len(i) // _RESIDUALS))
     i, j = i[every], j[every]
     values, sigma = _of_motions(tracks, result.T_a_b, i, j)
-    bad = np.concatenate([[0], np.cumsum(~tracks.usable)])
+    jumps = np.concatenate([[0], np.cumsum(~tracks.usable)])
     scales, quantiles, expected = [], [], []
     for seconds, lag in time_scales(tracks):
         if lag >= len(tracks):
             continue
         first, last = lagged(tracks, lag, _OF_A_SCALE)
         stride = int(np.median(np.diff(first))) if len(first) > 1 else 1
-        # Motions that overlap count once.
+        # Overlapping motions count once.
         if len(first) * min(1.0, stride / lag) < _LEAST_OF_A_SCALE:
             continue
-        # Translation and rotation apart.
         error, likely = (values.reshape(-1, 2, 3) for values in _of_motions(
             tracks, result.T_a_b, first, last))
         scales.append(seconds)
         quantiles.append(np.quantile(np.linalg.norm(error, axis=2), _QUANTILES, axis=0).T)
         expected.append(np.sqrt(np.mean(np.sum(likely**2, axis=2), axis=0)))
     return Residuals(
-        tracks.seconds[j], values, sigma, bad[i] != bad[j],
+        tracks.seconds[j], values, sigma, jumps[i] != jumps[j],
         np.array(scales), np.array(quantiles).reshape(-1, 2, 5),
         np.array(expected).reshape(-1, 2))
 
@@ -143,14 +143,14 @@ def _residuals(tracks: Tracks, result: CalibrationResult) -> Residuals:
 def _of_motions(
     tracks: Tracks, T_a_b: FloatArray, i: NDArray[np.intp], j: NDArray[np.intp],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (M, 6) residuals and their likely size, metres and degrees."""
+    """Return (M, 6) residuals and their standard deviations, metres and degrees."""
     A, _, values = tracks.motions(i, j)
     sigma = np.sqrt(np.diagonal(tracks.covariance(T_a_b, A, i, j), axis1=1, axis2=2))
     return values * TO_DEGREES, sigma * TO_DEGREES
 
 
 def _path_scale(tracks: Tracks) -> FloatArray:
-    """Compare the lengths of the motions of both over parts of the drive."""
+    """Return the ``scale`` of ``ReportData``: translations of a regressed on those of b."""
     for seconds in _SCALE_SECONDS:
         i, j = lagged(tracks, lag_of(tracks, seconds), _RESIDUALS)
         if len(i) > 0.5 * min(len(tracks), _RESIDUALS):
@@ -166,9 +166,9 @@ def _path_scale(tracks: Tracks) -> FloatArray:
         if part.sum() < 5 or square <= 1e-9:
             continue
         ratio = np.sum(of_a[part] * of_c[part]) / square
-        left = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
-        found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(left**2) * overlap) / square))
+        score = np.sum((of_a[part] - ratio * of_c[part]) * of_c[part], axis=1)
+        found.append((0.5 * (low + high), ratio, np.sqrt(np.sum(score**2) * overlap) / square))
     scale = np.reshape(found, (-1, 3))
-    usual = np.median(scale[:, 2]) if found else 0.0
-    # Where a sensor hardly moves, its scale means nothing.
-    return scale[scale[:, 2] <= max(_VAGUE * usual, 1e-4)]
+    median = np.median(scale[:, 2]) if found else 0.0
+    # A nearly stationary sensor does not determine the scale.
+    return scale[scale[:, 2] <= max(_VAGUE * median, 1e-4)]

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Small figures as inline SVG, coloured by style sheet: plots with axes, and scenes to scale.
+"""Figures as inline SVG, coloured by the style sheet: plots with axes, and scenes to scale.
 
-A figure is drawn 360 units wide, which is the width of a phone, so that its text stays as large
-as that of the page; wide screens show several side by side.
+A figure is 360 units wide, the width of a phone, so that its text is as large as that of the
+page. Wide screens show several figures side by side.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from trajectory_calibration.geometry.se3 import FloatArray
 
 WIDTH, HEIGHT = 360, 190
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 10, 20, 34
-# Points of a line that a screen can show: beyond, the least and the largest of each part.
+# Columns that a screen can show: of longer lines, the minimum and maximum of each column.
 _COLUMNS = 220
-# A band is smooth.
+# Points of a band, which is smooth.
 _BAND_COLUMNS = 70
 _TICKS = 5
-# Arms of an axis that are no longer look at the reader.
+# An axis that is shorter in the picture points at the reader, and is not drawn.
 _SHORTEST_AXIS = 4
-# Standard deviations that an ellipse reaches, which holds 95 %.
+# Radius of the 95 % ellipse, standard deviations.
 REACH = float(np.sqrt(quantile(2, 0.05)))
 
-# What stands at a tick, a line of it below the other.
+# Places and labels of ticks; a label may have several lines.
 Ticks = Sequence[tuple[float, str]]
 
 
 def ticks(low: float, high: float, count: int = _TICKS) -> FloatArray:
-    """Return round numbers from low to high, about ``count``."""
+    """Return about ``count`` round numbers from low to high."""
     if not high > low:
         return np.array([low])
     raw = (high - low) / count
@@ -45,7 +45,7 @@ def ticks(low: float, high: float, count: int = _TICKS) -> FloatArray:
 
 
 def log_ticks(low: float, high: float) -> FloatArray:
-    """Return powers of ten between low and high, or 1, 2, 5 where these are few."""
+    """Return the powers of ten from low to high; in a short interval their 2 and 5, too."""
     powers = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     factors = [1.0] if np.log10(high / low) > 2 else [1.0, 2.0, 5.0]
     found = np.outer(10.0**powers, factors).ravel()
@@ -53,14 +53,14 @@ def log_ticks(low: float, high: float) -> FloatArray:
 
 
 def label(value: float) -> str:
-    """Return a number of an axis: 0, 0.05, 1200."""
+    """Return the label of a tick: 0, 0.05, 1200."""
     return f'{value + 0.0:.6g}'
 
 
 def limits(*arrays: ArrayLike, log: bool = False) -> tuple[float, float]:
-    """Return an interval that holds all finite numbers with a little room; never empty.
+    """Return the limits of an axis for all finite numbers, with a margin; never empty.
 
-    Of a logarithmic axis, those above zero.
+    A logarithmic axis has only positive numbers.
     """
     values = np.concatenate([np.ravel(array) for array in arrays])
     values = values[np.isfinite(values) & (values > (0.0 if log else -np.inf))]
@@ -74,20 +74,20 @@ def limits(*arrays: ArrayLike, log: bool = False) -> tuple[float, float]:
 
 
 def from_zero(*arrays: ArrayLike) -> tuple[float, float]:
-    """Return the limits of an axis that begins at zero."""
+    """Return the limits of an axis that starts at zero."""
     return 0.0, limits(*arrays, [0.0, 1e-6])[1]
 
 
 def evenly(count: int, most: int) -> NDArray[np.intp]:
-    """Return the indices of at most so many of ``count`` points, with the first and the last."""
+    """Return indices of at most ``most`` of ``count`` points, with the first and the last."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
 
 
 class Canvas:
-    """A picture in units of its own, from the upper left corner; ``svg`` returns it.
+    """An SVG picture; the origin is the upper left corner.
 
-    ``style`` is a class of the style sheet, ``css`` what is of this one drawing, a colour;
-    ``words`` are shown under the pointer, but those of a text.
+    In all methods ``style`` is a class of the style sheet, ``css`` an inline style, and ``words``
+    the tooltip, or the text of a text element.
     """
 
     def __init__(self, width: float = WIDTH, height: float = HEIGHT) -> None:
@@ -97,7 +97,7 @@ class Canvas:
     def add(
         self, tag: str, style: str = '', css: str = '', words: str = '', **places: float | str,
     ) -> None:
-        """Add an element; numbers are written to a tenth."""
+        """Add an element; numbers are rounded to a tenth."""
         found = {'class': style, 'style': css} | {
             key.replace('_', '-'): value if isinstance(value, str) else f'{round(value, 1):.6g}'
             for key, value in places.items()}
@@ -108,7 +108,7 @@ class Canvas:
         self._parts.append(f'<{start}>{inside}</{tag}>' if inside else f'<{start}/>')
 
     def path(self, points: FloatArray, style: str = '', css: str = '', words: str = '') -> None:
-        """Draw a line through (N, 2) points, or fill what is inside; NaN breaks it."""
+        """Draw a line through (N, 2) points, or fill its inside; NaN breaks it."""
         self.add('path', style, css, words, d=_path(points), transform='scale(.1)')
 
     def dot(self, at: FloatArray, radius: float, style: str = '', css: str = '', words: str = '',
@@ -126,15 +126,15 @@ class Canvas:
         self.add('text', style, '', words, x=x, y=y, text_anchor=anchor)
 
     def svg(self, name: str) -> str:
-        """Return the picture; its name is for those who hear it."""
+        """Return the picture; ``name`` is for screen readers."""
         return (f'<svg viewBox="0 0 {self.width} {self.height}" role="img" '
                 f'aria-label="{escape(name)}">{"".join(self._parts)}</svg>')
 
 
 class Scene(Canvas):
-    """A picture to scale of places in metres, two axes of a frame seen along the third.
+    """A picture to scale: two axes of a frame, in metres, seen along the third.
 
-    ``middle``, (2,), stands in its centre; ``pixels`` are units of the picture per metre.
+    ``middle`` (2,) is the point at the centre; ``pixels`` are units of the picture per metre.
     """
 
     def __init__(self, width: float, height: float, middle: FloatArray, pixels: float) -> None:
@@ -143,13 +143,13 @@ class Scene(Canvas):
 
     @classmethod
     def around(cls, points: FloatArray, width: float, height: float) -> Scene:
-        """Return a scene that holds (N, 2) points."""
+        """Return a scene that shows (N, 2) points."""
         low, high = points.min(axis=0), points.max(axis=0)
         room = np.array([width, height]) - 2 * 24
         return cls(width, height, 0.5 * (low + high), np.min(room / np.maximum(high - low, 1e-9)))
 
     def place(self, points: ArrayLike) -> FloatArray:
-        """Return where (N, 2) points, or one, stand in the picture."""
+        """Return the picture coordinates of (N, 2) points, or of one."""
         return (np.asarray(points, dtype=np.float64) - self._middle) * [
             self.pixels, -self.pixels] + np.array([self.width / 2, self.height / 2])
 
@@ -158,19 +158,19 @@ class Scene(Canvas):
         self.path(self.place(points), style, css)
 
     def axes(self, origin: FloatArray, axes: FloatArray, arm: float) -> None:
-        """Draw the three axes of a sensor, (2, 3) each; one towards the reader is left out."""
+        """Draw the axes of a sensor: ``origin`` (2,), ``axes`` (2, 3), ``arm`` in metres."""
         for k, letter in enumerate('xyz'):
             ends = self.place([origin, origin + arm * axes[:, k]])
             if np.linalg.norm(ends[1] - ends[0]) > _SHORTEST_AXIS:
                 self.path(ends, f'axis-{letter}')
 
     def legend(self, across: str, up: str) -> None:
-        """Write which axis points where, and draw a scale bar."""
+        """Write the names of the axes, and draw a scale bar."""
         self.text(2, 11, f'{across} to the right, {up} up', style='unit')
         self.scale_bar()
 
     def scale_bar(self) -> None:
-        """Draw a bar of a round length, and write how long it is."""
+        """Draw a bar of a round length with its label."""
         longest = 0.3 * self.width / self.pixels
         length = log_ticks(0.1 * longest, longest)[-1]
         x, y = 10, self.height - 8
@@ -181,7 +181,7 @@ class Scene(Canvas):
 
 
 def ellipse(covariance: FloatArray) -> FloatArray:
-    """Return (N, 2) points, about zero, of the ellipse that holds 95 % of a (2, 2) covariance."""
+    """Return (N, 2) points of the 95 % ellipse of a (2, 2) covariance, about zero."""
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -189,11 +189,11 @@ def ellipse(covariance: FloatArray) -> FloatArray:
 
 
 class Mark(NamedTuple):
-    """One thing on a plot, in its numbers: a 'line', an 'area', 'dots' or 'words'.
+    """One element of a plot, in data coordinates; ``kind``: 'line', 'area', 'dots' or 'words'.
 
-    ``style`` is a class of the style sheet, of words where they stand ('start', 'middle', 'end');
-    ``words`` are written, or shown under the pointer; ``size`` is the radius of a dot; ``shift``
-    moves words, in units of the picture.
+    ``style`` is a class of the style sheet, or the anchor of words ('start', 'middle', 'end');
+    ``words`` are the text or the tooltip; ``size`` is the radius of a dot; ``shift`` moves words,
+    in units of the picture.
     """
 
     kind: str
@@ -206,10 +206,10 @@ class Mark(NamedTuple):
 
 
 class Plot:
-    """One pair of axes and what is drawn on it, in its numbers; ``svg`` returns the picture.
+    """A pair of axes and its elements, in data coordinates; ``svg`` returns the picture.
 
-    ``x`` and ``y`` are limits, ``x_ticks`` and ``y_ticks`` places and words, by default of round
-    numbers; ``marks`` is what is drawn, the lowest first.
+    ``x`` and ``y`` are limits; ``x_ticks`` and ``y_ticks`` are at round numbers by default;
+    ``marks`` are the elements in drawing order.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class Plot:
     def rectangle(
         self, x: tuple[float, float], y: tuple[float, float], style: str, title: str = '',
     ) -> None:
-        """Fill a rectangle; ``title`` is shown under the pointer."""
+        """Fill a rectangle; ``title`` is the tooltip."""
         self._mark('area', [*x, *x[::-1]], np.repeat(y, 2), style, title)
 
     def error_bar(self, x: float, y: float, std: float, style: str, title: str = '') -> None:
@@ -263,18 +263,18 @@ class Plot:
             self.dots([x], [y], style, 3.2, title)
 
     def horizontal(self, y: float, style: str, words: str = '', *, at_left: bool = False) -> None:
-        """Draw a level line with its name at one end."""
+        """Draw a horizontal line with a label at one end."""
         self.line(self.x, [y, y], style)
         end, anchor, shift = (0, 'start', 3) if at_left else (1, 'end', -2)
         self.write(self.x[end], y, words, anchor, (shift, -4))
 
     def vertical(self, x: float, style: str, words: str = '') -> None:
-        """Draw an upright line with its name at the bottom."""
+        """Draw a vertical line with a label at the bottom."""
         self.line([x, x], self.y, style)
         self.write(x, self.y[0], words, shift=(4, -4))
 
     def svg(self, name: str) -> str:
-        """Return the picture; its name is for those who hear it."""
+        """Return the picture; ``name`` is for screen readers."""
         canvas = Canvas(WIDTH, self._height)
         bottom, right = self._height - _BOTTOM, WIDTH - _RIGHT
 
@@ -291,7 +291,7 @@ class Plot:
                 canvas.text(place(value, self.y[0])[0, 0], bottom + 15 + 13 * k, line, 'middle',
                             '')
         canvas.path(place(self.x, [self.y[0]] * 2), 'axis')
-        # Beside its axis, in a corner where no curve ends.
+        # In corners that no curve reaches.
         canvas.text(right, self._height - 3, self.x_label, 'end', 'unit')
         canvas.text(2, 9, self.y_label, style='unit')
         for mark in self.marks:
@@ -318,7 +318,7 @@ def _scaled(
     values: ArrayLike, interval: tuple[float, float], ends: tuple[float, float], *,
     log: bool = False,
 ) -> FloatArray:
-    """Return where values of an interval stand between two ends; those outside stand there."""
+    """Map values of an interval linearly to that between two ends; values outside are clipped."""
     values = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if log:
         return np.interp(np.log10(np.maximum(values, 1e-12)), np.log10(interval), ends)
@@ -326,8 +326,8 @@ def _scaled(
 
 
 def _path(points: FloatArray) -> str:
-    """Return the data of a path through (N, 2) points, in tenths; NaN breaks it."""
-    # In whole numbers, whose rounding does not add up over the steps.
+    """Return the SVG path data of (N, 2) points, in tenths of a unit; NaN breaks the line."""
+    # Integers, so that rounding errors of relative steps do not accumulate.
     tenths = np.round(10 * points)
     known = np.append(np.isfinite(tenths).all(axis=1), False)
     words = ''
@@ -338,7 +338,7 @@ def _path(points: FloatArray) -> str:
 
 
 def _envelope(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the least and the largest point of each column, in their order."""
+    """Return the minimum and the maximum of each column, in the order of x."""
     width = -(-len(y) // _COLUMNS)
     padded = np.append(y, np.full(_COLUMNS * width - len(y), np.nan)).reshape(_COLUMNS, width)
     first = width * np.arange(_COLUMNS)

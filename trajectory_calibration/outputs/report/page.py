@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A page, and what it is made of: one file with style and scripts, and nothing from outside."""
+"""HTML pages and their elements: one file with style and scripts, without external resources."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def asset(name: str) -> str:
 
 
 def filled(name: str, **texts: str) -> str:
-    """Return a template beside this module with its gaps filled by HTML."""
+    """Return a template beside this module with HTML inserted."""
     return Template(asset(name)).substitute(texts)
 
 
 def versions() -> str:
-    """Return the versions that an answer may depend on."""
+    """Return the versions of this package, Python, NumPy and the system."""
     return (f'trajectory_calibration {__version__}, Python {platform.python_version()}, '
             f'NumPy {np.__version__}, {platform.system()} {platform.machine()}')
 
@@ -39,7 +39,7 @@ def page(
     title: str, sections: str, *, navigation: tuple[str, ...] = (),
     scripts: tuple[str, ...] = ('page.js', 'view3d.js'),
 ) -> str:
-    """Return a whole page."""
+    """Return a page; ``navigation`` has the names of its sections."""
     links = ''.join(f'<a href="#s{k}">{k} {escape(name)}</a>'
                     for k, name in enumerate(navigation, 1))
     script = f'<script>{"".join(map(asset, scripts))}</script>' if scripts else ''
@@ -49,7 +49,7 @@ def page(
 
 
 def metres(value: float) -> str:
-    """Return a length for a person: '1.72 m', '3.1 km', '4 mm'."""
+    """Return a length with a suitable unit: '1.72 m', '3.1 km', '4 mm'."""
     if value >= 1000:
         return f'{1e-3 * value:.3g} km'
     if value >= 1 or value == 0:
@@ -66,13 +66,13 @@ def sentence(text: str) -> str:
 
 
 def verdict_section(level: str, title: str, badge: str, inside: str) -> str:
-    """Return the box that begins a page; ``title`` and ``inside`` are HTML."""
+    """Return the box at the top of a page; ``title`` and ``inside`` are HTML."""
     return (f'<section class="verdict {level}"><div class="head"><h1>{title}</h1>'
             f'<p class="badge">{escape(badge)}</p></div>{inside}</section>')
 
 
 def next_step(text: str) -> str:
-    """Return what a person should do now, '' for nothing."""
+    """Return the line with the next step, '' for none."""
     return f'<p class="next"><b>Next</b> {escape(sentence(text))}</p>' if text else ''
 
 
@@ -85,10 +85,11 @@ def _captions() -> RawConfigParser:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture with what it says here, and what good and bad look like; ``str`` gives the HTML.
+    """A picture with its interpretation, and examples of good and bad; ``str`` gives the HTML.
 
-    ``kind`` is a section of captions.ini, whose title has gaps for ``names``; ``legend`` has a
-    class or a colour, and a name, for each thing that is drawn; a picture may be HTML.
+    ``kind`` is a section of captions.ini, and ``names`` fill the fields of its title. ``legend``
+    has a style class or colour, and a name, for each element. ``reading`` interprets the picture,
+    which may be HTML.
     """
 
     kind: str
@@ -100,7 +101,7 @@ class Figure:
 
     @property
     def title(self) -> str:
-        """Return what stands above it."""
+        """Return the title above the picture."""
         return _captions()[self.kind]['title'].format(**self.names)
 
     def __str__(self) -> str:
@@ -121,14 +122,14 @@ class Figure:
 def section(
     number_: int, title: str, inside: Iterable[Figure | str], lead: str = '', *, columns: int = 3,
 ) -> str:
-    """Return a numbered section of the page; its lead is text, what is inside figures or HTML."""
+    """Return a numbered section; ``lead`` is text, ``inside`` are figures or HTML."""
     words = f'<p class="lead">{escape(lead)}</p>' if lead else ''
     return (f'<section id="s{number_}"><h2><span>{number_}</span>{escape(title)}</h2>{words}'
             f'<div class="grid of{columns}">{"".join(map(str, inside))}</div></section>')
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]], style: str = '') -> str:
-    """Return a table of escaped cells, in which '+-' is one sign."""
+    """Return a table of escaped cells; '+-' becomes one character."""
     top = ''.join(f'<th>{escape(cell)}</th>' for cell in head)
     body = ''.join(
         '<tr>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row) + '</tr>' for row in rows)

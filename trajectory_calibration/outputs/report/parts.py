@@ -1,12 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Does every part of the data say the same? The extrinsic from quarters and from time scales.
+"""Consistency of the data: the extrinsic from quarters of the drive and from time scales.
 
-One weighted Gauss-Newton step about the answer, from motions of one length in time: cheap, and
-near the answer as good as a solver. The derivatives are products of what a and what b report, as
-in ``assessment.excitation``, so that noise in the rotations does not pass for motion. Standard
-deviations are those of the scores with their correlation (Newey and West 1987), because motions
-overlap.
+One weighted Gauss-Newton step from the answer, with motions of one duration: cheap, and near the
+answer as accurate as a solver. The information matrix is the product of a Jacobian from a and one
+from b, as in ``assessment.excitation``, so that rotation noise is not counted as excitation.
+Standard deviations include the correlation of overlapping motions (Newey and West 1987).
 """
 
 from __future__ import annotations
@@ -25,37 +24,38 @@ from trajectory_calibration.outputs.report.tracks import Indices, Tracks
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
-# Seconds of the time scales that are shown, where the drive is long enough.
+# Time scales, seconds, if the drive is long enough.
 TIME_SCALES_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
 QUARTERS = 4
 
-# Motions of one time scale that are looked at, and least that say something.
+# Motions of one time scale: the most that are used, and the fewest for an estimate.
 _MOTIONS, _LEAST_MOTIONS, _LEAST_INDEPENDENT = 1500, 12, 6
-# Of Student's distribution: how much wider the spread of few motions is.
+# Inflation of the variance for few independent motions, as in Student's distribution.
 _SMALL_SAMPLE = 4.0
-# A motion of a time scale takes at most so many times as long.
+# Largest duration of a motion, relative to its time scale.
 _LONGEST = 2.0
-# A time scale must fit so many times into the drive.
+# Smallest length of the drive, in time scales.
 _LEAST_REPEATS = 6
-# Scores beyond this many usual ones are those of jumps that nobody named.
+# Motions with normalised residuals above this many medians are undetected jumps.
 _OUTLIER = 6.0
-# Information, one over squared metres or radians, that holds a direction.
+# Information, 1/m^2 or 1/rad^2, that fixes an unobserved direction.
 _HELD = 1e12
-# Points of the curve of deviation over time.
+# Points of the curve of standard deviation over time.
 _CURVE = 24
-# A part that is off by so many deviations, and this share of the limit of weak, contradicts.
+# A part contradicts the answer beyond this many standard deviations and this share of the limit
+# of 'weak'.
 _FAR, _NOTABLE = 3.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Answers of parts of the data minus the answer; metres along, degrees about x, y, z of a.
+    """Extrinsics from N parts of the data minus the answer: x, y, z of a in metres, degrees.
 
-    ``names`` are 'Q1' to 'Q4' and the seconds of each time scale, none where the drive is too
-    short; ``values`` and ``std``, (N, 6), NaN where one says nothing; ``known``, (N, 6): the part
-    tells this number; ``far``: it contradicts the answer, whose deviations are ``own``, (6,);
-    ``unobserved``, (6,): nothing tells it. ``growth_std``, (T, 6), is what ``growth_s`` seconds
-    of the drive would have given; NaN where nothing determines the direction.
+    ``names`` are 'Q1' to 'Q4' and the time scales in seconds; empty for a short drive. ``values``
+    and ``std`` (N, 6) are NaN without an estimate. ``known`` (N, 6): the part determines the
+    component; ``far`` (N, 6): it contradicts the answer, whose standard deviations are ``own``
+    (6,). ``unobserved`` (6,): the motion does not determine the component. ``growth_std`` (T, 6)
+    are standard deviations from the first ``growth_s`` (T,) seconds; NaN if unobserved.
     """
 
     names: tuple[str, ...]
@@ -71,7 +71,10 @@ class Parts:
 
 @dataclass(frozen=True, eq=False)
 class _Scores:
-    """Motions of one time scale, linearised: (M, 6) scores and (M, 6, 6) information."""
+    """Linearised motions of one time scale: (M, 6) scores and (M, 6, 6) information.
+
+    ``start`` (M,) are the first poses; ``overlap`` is the number of motions that overlap.
+    """
 
     start: Indices
     score: FloatArray
@@ -80,7 +83,7 @@ class _Scores:
 
 
 def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
-    """Return what quarters and time scales of the tracks say of the extrinsic."""
+    """Estimate the extrinsic from quarters and time scales of the tracks."""
     held = _held(result.observability)
     by_scale: list[tuple[float, _Scores]] = []
     for seconds, lag in time_scales(tracks):
@@ -92,11 +95,11 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
     own = np.zeros(6) if result.std is None else TO_DEGREES * result.std
     unobserved = np.array(list(result.observability.status.values())) == UNOBSERVED
     solved = [_solve(scores, held) for _, scores in by_scale]
-    std = np.array([deviation for _, deviation in solved])
+    std = np.array([each for _, each in solved])
     if np.isnan(std).all():
         none = np.zeros((0, 6))
         return Parts((), none, none, none > 0, none > 0, own, unobserved, np.zeros(0), none)
-    # Where the time scale is short, white noise is all; where it is long, few are independent.
+    # White noise dominates short time scales, and long ones have few independent motions.
     best = by_scale[int(np.nanargmin(np.sum(np.log(std), axis=1)))][1]
     edges = np.linspace(0, len(tracks), QUARTERS + 1)
     quarters = [_solve(best, held, (best.start >= low) & (best.start < high))
@@ -105,7 +108,7 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
     config = result.config
     limit = np.repeat([config.unobserved_translation, config.unobserved_rotation], 3)
     known = np.isfinite(std) & (std < limit) & ~unobserved
-    # Beyond chance, and beyond what anybody would call a difference.
+    # Statistically significant, and large enough to matter.
     notable = _NOTABLE * np.repeat([config.weak_translation, config.weak_rotation], 3)
     far = known & (np.abs(values) > np.maximum(_FAR * np.hypot(std, own), notable))
     names = (*(f'Q{n + 1}' for n in range(QUARTERS)), *(f'{scale:g}' for scale, _ in by_scale))
@@ -114,12 +117,12 @@ def compare_parts(tracks: Tracks, result: CalibrationResult) -> Parts:
 
 
 def lag_of(tracks: Tracks, seconds: float) -> int:
-    """Return how many pairs are about so many seconds, at least one."""
+    """Return the lag, in pairs, of a time in seconds; at least one."""
     return max(1, round(seconds / np.median(np.diff(tracks.seconds))))
 
 
 def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
-    """Return the time scales, seconds, with their lags, which differ."""
+    """Return the time scales, seconds, with their distinct lags."""
     by_lag: dict[int, float] = {}
     for seconds in TIME_SCALES_S:
         by_lag.setdefault(lag_of(tracks, seconds), seconds)
@@ -127,28 +130,28 @@ def time_scales(tracks: Tracks) -> list[tuple[float, int]]:
 
 
 def lagged(tracks: Tracks, lag: int, count: int) -> tuple[Indices, Indices]:
-    """Return (M,) first and last poses of at most ``count`` motions without a jump or a gap.
+    """Return (M,) indices of the first and last poses of at most ``count`` motions of a lag.
 
-    They last about as long as ``lag`` usual steps.
+    Motions over a jump or a gap are left out.
     """
     broken = ~tracks.usable
     broken[tracks.gaps] = True
     bad = np.concatenate([[0], np.cumsum(broken)])
-    took = tracks.seconds[lag:] - tracks.seconds[:-lag]
-    usual = lag * np.median(np.diff(tracks.seconds))
-    i = np.flatnonzero((bad[:-lag] == bad[lag:]) & (took <= _LONGEST * usual))
+    duration = tracks.seconds[lag:] - tracks.seconds[:-lag]
+    median = lag * np.median(np.diff(tracks.seconds))
+    i = np.flatnonzero((bad[:-lag] == bad[lag:]) & (duration <= _LONGEST * median))
     i = i[::max(1, -(-len(i) // count))]
     return i, i + lag
 
 
 def _jacobian(T_a_b: FloatArray, A: FloatArray, C: FloatArray) -> FloatArray:
-    """Return (M, 6, 6), the derivative of ``log(A^-1 C)`` by (dt, dtheta), motion seen as C."""
-    seen = A.copy()
-    seen[:, :3, 3] = C[:, :3, 3]
-    # A turn of b about its own place moves what stands at the origin of a.
+    """Return (M, 6, 6): derivatives of ``log(A^-1 C)`` by (dt, dtheta), from the motions C."""
+    motion = A.copy()
+    motion[:, :3, 3] = C[:, :3, 3]
+    # A rotation of b about its origin, as a twist of a, also translates.
     to_twist = np.eye(6)
     to_twist[:3, 3:] = se3.skew(T_a_b[:3, 3])
-    return se3.adjoint(se3.inverse(seen)) @ (np.eye(6) - se3.adjoint(C)) @ to_twist
+    return se3.adjoint(se3.inverse(motion)) @ (np.eye(6) - se3.adjoint(C)) @ to_twist
 
 
 def _scores(tracks: Tracks, T_a_b: FloatArray, lag: int) -> _Scores:
@@ -174,24 +177,24 @@ def _solve(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the (6,) step from the answer and its standard deviations, metres and radians."""
     score, information = scores.score[part], scores.information[part]
-    # Motions that overlap count once.
+    # Overlapping motions count once.
     independent = len(score) / scores.overlap
     if len(score) < _LEAST_MOTIONS or independent < _LEAST_INDEPENDENT:
         return np.full(6, np.nan), np.full(6, np.nan)
     inverse = _bounded_inverse(information.sum(axis=0), held)
     step = inverse @ score.sum(axis=0)
-    left = score - information @ step
-    spread = _long_run(left, min(2 * scores.overlap, len(left) // 3))
-    # A spread from so few is itself uncertain.
-    spread *= 1 + _SMALL_SAMPLE / independent
-    covariance = inverse @ (spread + np.diag(UNOBSERVED_STD**-2.0)) @ inverse
+    residuals = score - information @ step
+    scatter = _long_run(residuals, min(2 * scores.overlap, len(residuals) // 3))
+    # The scatter of a few motions is itself uncertain.
+    scatter *= 1 + _SMALL_SAMPLE / independent
+    covariance = inverse @ (scatter + np.diag(UNOBSERVED_STD**-2.0)) @ inverse
     return step, np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
 
 
 def _held(observability: Observability) -> FloatArray:
-    """Return (6, 6), the information that keeps what is unobserved where the answer has it.
+    """Return the (6, 6) information that fixes unobserved directions at the answer.
 
-    Else noise, which tilts an unobserved direction a little, would spill metres into the others.
+    Otherwise noise, which tilts an unobserved direction a little, adds metres to the others.
     """
     held = np.zeros((6, 6))
     for item in observability.weak_axes:
@@ -202,7 +205,7 @@ def _held(observability: Observability) -> FloatArray:
 
 
 def _bounded_inverse(information: FloatArray, held: FloatArray) -> FloatArray:
-    """Return the inverse with a prior of ``UNOBSERVED_STD``: the unobserved stays where it is."""
+    """Return the inverse of (6, 6) information with a prior of ``UNOBSERVED_STD`` added."""
     information = information + held
     values, vectors = np.linalg.eigh(UNOBSERVED_STD[:, None] * information * UNOBSERVED_STD)
     root = UNOBSERVED_STD[:, None] * vectors / np.sqrt(np.maximum(values, 0.0) + 1.0)
@@ -210,7 +213,7 @@ def _bounded_inverse(information: FloatArray, held: FloatArray) -> FloatArray:
 
 
 def _long_run(scores: FloatArray, window: int) -> FloatArray:
-    """Return (6, 6), the covariance of the sum of correlated (M, 6) scores."""
+    """Return the (6, 6) covariance of the sum of correlated (M, 6) scores (Newey and West)."""
     total = scores.T @ scores
     for lag in range(1, window + 1):
         product = scores[lag:].T @ scores[:-lag]
@@ -223,7 +226,7 @@ def _growth(
     tracks: Tracks, scores: _Scores, result: CalibrationResult, held: FloatArray,
     unobserved: NDArray[np.bool_],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and (T, 6) standard deviations, which end at those of the answer."""
+    """Return (T,) times and (T, 6) standard deviations; the last ones are those of the answer."""
     running = np.cumsum(scores.information, axis=0)
     ends = np.unique(np.linspace(len(running) / _CURVE, len(running), _CURVE).astype(np.intp)) - 1
     ends = ends[ends >= 0]

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a calibration was made of: enough to repeat it, or to tell that it was another."""
+"""The record of a report: inputs with checksums, command, settings, versions and findings."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _BLOCK = 1 << 20
 
 
 class Record(NamedTuple):
-    """Where a report comes from: the command that repeats it, '' from Python, and its inputs.
+    """The command that repeats a calibration, '' from Python, and its input files.
 
-    Of each input file: its role, name, size in bytes and SHA-256.
+    Each input has role, name, size in bytes and SHA-256.
     """
 
     command: str = ''
@@ -30,9 +30,9 @@ class Record(NamedTuple):
 def hash_inputs(
     paths: Iterable[tuple[str, Path]], progress: Callable[[int, int], None] | None = None,
 ) -> tuple[tuple[str, str, str, str], ...]:
-    """Return the inputs of (role, path); of a folder, a bag, its files one by one.
+    """Return the ``inputs`` of a record for (role, path); a folder is replaced by its files.
 
-    ``progress`` is called with the bytes that are read, and those of all files.
+    ``progress`` is called with the number of bytes read so far, and the total.
     """
     files = [(role, item) for role, path in paths for item in (
         sorted(item for item in path.rglob('*') if item.is_file()) if path.is_dir() else [path])]
@@ -80,8 +80,8 @@ def _settings(config: CalibrationConfig) -> str:
     rows = [(option.name, *(str(value) or '–' for value in (
         getattr(config, option.name), option.default))) for option in config.options()]
     changed = [row for row in rows if row[1] != row[2]]
-    usual = [row[:2] for row in rows if row[1] == row[2]]
+    unchanged = [row[:2] for row in rows if row[1] == row[2]]
     head = ('setting', 'value', 'default')
     first = table(head, changed) if changed else '<p>Defaults.</p>'
     return (f'{first}<details><summary>{"All other" if changed else "All"} settings</summary>'
-            f'{table(head[:2], usual)}</details>')
+            f'{table(head[:2], unchanged)}</details>')

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A result, or the reason why there is none, as one HTML page."""
+"""HTML pages of a result or of a failed calibration."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def render_report(
     result: CalibrationResult, a: Trajectory, b: Trajectory, *,
     T_a_b_true: FloatArray | None = None, record: Record | None = None,
 ) -> str:
-    """Return the report of a result with the trajectories that it was made from.
+    """Return the report of a result and its trajectories.
 
-    Raises AssociationError where these have no common time under the clock of the result.
+    Raises AssociationError if these have no common time with the clock of the result.
     """
     return render(report_data(result, a, b, T_a_b_true), record)
 
 
 def render(data: ReportData, record: Record | None = None) -> str:
-    """Return the report of what was computed."""
+    """Return the report as an HTML page."""
     result = data.result
     box = verdict_box(result, data.rows, data.driven)
     last = section(6, 'Record', record_cards(
@@ -57,9 +57,9 @@ def render(data: ReportData, record: Record | None = None) -> str:
 def render_box(result: CalibrationResult) -> str:
     """Return the verdict box alone, with its style, for a notebook."""
     box = verdict_box(result, answer_rows(result))
-    # In a frame of its own, so that the style stays inside.
+    # In an iframe, so that the style does not affect the notebook.
     inside = f'<style>{asset("page.css")} body{{background:none}}</style><main>{box}</main>'
-    # Where the notebook lets it, the frame takes the height of what is inside.
+    # The iframe takes the height of its content, if the notebook allows scripts.
     fit = 'this.style.height=this.contentDocument.documentElement.scrollHeight+&quot;px&quot;'
     return (f'<iframe srcdoc="{escape(inside)}" style="width:100%;height:460px;border:0" '
             f'title="verdict" onload="{fit}"></iframe>')
@@ -69,11 +69,11 @@ def render_failure(
     error: str, trajectories: tuple[Trajectory, ...], *, config: CalibrationConfig | None = None,
     record: Record | None = None,
 ) -> str:
-    """Return the report of a calibration without an answer: the inputs, the error, what to do.
+    """Return the report of a failed calibration: error, next step and inputs.
 
     ``trajectories`` are those that could be read: a and b, or fewer.
     """
-    # What happened, and what to do, where the message says it.
+    # The message has the reason first, then the advice, if any.
     reason, _, advice = (error.partition('. ') if '. ' in error else
                          error.rpartition('; ') if '; ' in error else (error, '', ''))
     box = verdict_section(
@@ -90,22 +90,22 @@ def render_failure(
 
 def _input_figure(name: str, trajectory: Trajectory) -> Figure:
     length = metres(float(np.sum(np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1))))
-    turned = float(np.rad2deg(np.sum(np.linalg.norm(trajectory.turns, axis=1))))
+    angle = float(np.rad2deg(np.sum(np.linalg.norm(trajectory.turns, axis=1))))
     reading = (f'{len(trajectory):,} poses over {trajectory.duration_s:.1f} s '
                f'({1e9 / trajectory.usual_step_ns:.3g} Hz), path {length}, turned '
-               f'{turned:,.0f} deg in all.')
+               f'{angle:,.0f} deg in all.')
     return Figure('input', single_track(trajectory.positions, f'line-{name}'), reading,
                   names={'name': name, 'frame': trajectory.sensor_frame})
 
 
 def _together(a: Trajectory, b: Trajectory) -> list[Figure]:
     clocks = compare_clocks(a, b)
-    apart = (int(b.stamps_ns[0]) - int(a.stamps_ns[0])) * 1e-9
+    delay = (int(b.stamps_ns[0]) - int(a.stamps_ns[0])) * 1e-9
     strip = Figure('times of inputs', gap_strip(clocks),
-                   f'The first pose of b is {apart:+.3f} s from that of a.')
+                   f'The first pose of b is {delay:+.3f} s from that of a.')
     reading = 'Both sensors of one vehicle turn by the same angle at the same time.'
     if a.stamps_ns[-1] <= b.stamps_ns[0] or b.stamps_ns[-1] <= a.stamps_ns[0]:
-        # Nothing in common: from the first pose of each, which shows whether it was one drive.
+        # Without a common time both start at their first pose, to see whether it is one drive.
         clocks = compare_clocks(
             a, replace(b, stamps_ns=b.stamps_ns - b.stamps_ns[0] + a.stamps_ns[0]))
         reading += ' Drawn from the first pose of each, because they have no time in common.'

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a report, each with one sentence of what it says here, in numbered sections."""
+"""The figures of a report in numbered sections, each with an interpretation."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from trajectory_calibration.outputs.screen import reference_words
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')
 
 _PARTS = ('Translation', 'Rotation')
-# Share of normalised residuals beyond three deviations that a normal distribution has.
+# Share of a normal distribution beyond three standard deviations.
 _NORMAL_TAIL = 0.0027
-# A share of the range that the largest values may be cut off at.
+# Quantile of the residuals that the axis shows; larger ones may be cut off.
 _MOST = 0.995
 
 
@@ -42,13 +42,13 @@ def sections(data: ReportData) -> str:
     motions = reference_words(result.reference or result.config.reference)
     return ''.join((
         section(1, 'Do the two tracks coincide?', track_figures(data),
-                'b is carried over to a with the extrinsic and laid on the track of a as a '
-                'whole. Drag to turn, wheel to zoom.', columns=2),
+                'The track of b is transformed to a with the extrinsic, and aligned to that of a '
+                'as a whole. Drag to turn, wheel to zoom.', columns=2),
         section(2, 'Was the motion enough?', motion_figures(data)),
         section(3, 'Do parts of the data agree?', part_figures(data) or [
             '<div class="card"><p>The drive is too short to be divided.</p></div>'],
-            'The extrinsic again from each quarter of the drive (Q1 to Q4) and from motions of '
-            'one length in time, minus the answer, with bars of 2 standard deviations; the band '
+            'The extrinsic from each quarter of the drive (Q1 to Q4), and from motions of one '
+            'duration, minus the answer, with bars of 2 standard deviations; the band '
             'is 2 standard deviations of the answer. "?": this part alone does not determine it.'),
         section(4, 'Residuals', residual_figures(data),
                 f'Motions {motions}: mean {result.metrics.e_rt:.3g} m, '
@@ -58,13 +58,13 @@ def sections(data: ReportData) -> str:
 
 
 def track_figures(data: ReportData) -> list[Figure]:
-    """Return both tracks, and how far they are apart over time and path, with jumps."""
+    """Return both tracks, and their distance and rotation over time and path, with jumps."""
     tracks, result = data.tracks, data.result
-    usual, largest = metres(np.median(tracks.distance_m)), metres(tracks.distance_m.max())
+    median, largest = metres(np.median(tracks.distance_m)), metres(tracks.distance_m.max())
     path = tracks.path_m[-1]
     share = (f' ({100 * tracks.distance_m.max() / path:.2g} % of {metres(path)} driven)'
              if path > 0 else '')
-    key = [('a', f'a: {result.frame_a}'), ('b', f'b carried over: {result.frame_b}')]
+    key = [('a', f'a: {result.frame_a}'), ('b', f'b transformed: {result.frame_b}')]
     if len(tracks.jumps):
         key.append(('jump', 'jump' if len(tracks.jumps) <= MOST_JUMPS else
                     f'jump, the largest {MOST_JUMPS}'))
@@ -72,56 +72,56 @@ def track_figures(data: ReportData) -> list[Figure]:
         key.append(('gap', 'gap'))
     jumps = counted(len(tracks.jumps), 'jump') if len(tracks.jumps) else 'no jumps'
     return [
-        Figure('tracks', track_view(tracks), f'The tracks are {usual} apart in the median and '
-               f'{largest} at most{share}; {jumps}.', key, wide=True),
-        Figure('distance', _apart(tracks, tracks.distance_m, 'm'),
-               f'Median {usual}, largest {largest}. Driven: {data.driven}.'),
-        Figure('orientation', _apart(tracks, tracks.angle_deg, 'deg'),
+        Figure('tracks', track_view(tracks), f'Distance of the tracks: median {median}, largest '
+               f'{largest}{share}; {jumps}.', key, wide=True),
+        Figure('distance', _over_time(tracks, tracks.distance_m, 'm'),
+               f'Median {median}, largest {largest}. Driven: {data.driven}.'),
+        Figure('orientation', _over_time(tracks, tracks.angle_deg, 'deg'),
                f'Median {np.median(tracks.angle_deg):.2g} deg, largest '
                f'{tracks.angle_deg.max():.2g} deg.')]
 
 
-def _apart(tracks: Tracks, apart: FloatArray, unit: str) -> Plot:
+def _over_time(tracks: Tracks, values: FloatArray, unit: str) -> Plot:
     seconds, jumps = tracks.seconds, tracks.largest_jumps()
     driven = [(at, f'{label(at)} s\n{metres(np.interp(at, seconds, tracks.path_m))}')
               for at in ticks(0.0, seconds[-1], 4)]
-    plot = Plot((0.0, seconds[-1]), from_zero(apart), y_label=unit, x_ticks=driven)
-    plot.line(seconds, apart, 'line-a')
+    plot = Plot((0.0, seconds[-1]), from_zero(values), y_label=unit, x_ticks=driven)
+    plot.line(seconds, values, 'line-a')
     plot.dots(seconds[jumps], np.full(len(jumps), 0.97 * plot.y[1]), 'jump', 2.4)
     return plot
 
 
 def motion_figures(data: ReportData) -> list[Figure]:
-    """Return what the motion determines: rotation by axis, deviations over time, the sensors."""
+    """Return rotation by axis, standard deviations over time, and views of the sensors."""
     result, need, growth = data.result, data.need_deg, data.parts.growth_std
-    turned, status = result.observability.excitation_deg, result.observability.status
-    low, high = limits(turned, [] if need is None else need, log=True)
-    # The words of the need stand beside the bars.
+    rotation, status = result.observability.excitation_deg, result.observability.status
+    low, high = limits(rotation, [] if need is None else need, log=True)
+    # The label of the needed rotation is beside the bars.
     plot = Plot((-1.1, 2.5), (0.5 * low, high), log_y=True, y_label='deg per motion, rms',
                 x_ticks=[(k, f'{name}: {value:.3g}')
-                         for k, (name, value) in enumerate(zip('xyz', turned, strict=True))])
-    for k, value in enumerate(turned):
+                         for k, (name, value) in enumerate(zip('xyz', rotation, strict=True))])
+    for k, value in enumerate(rotation):
         style = 'fill-a' if need is None or value >= need else 'fill-weak'
         plot.rectangle((k - 0.28, k + 0.28), (0.5 * low, value), style, f'{value:.3g} deg')
     reading = 'Without a covariance, the needed rotation is not known.'
     if need is not None:
         plot.horizontal(need, 'need', f'need {need:.2g}', at_left=True)
-        enough = sum(value >= need for value in turned)
+        enough = sum(value >= need for value in rotation)
         reading = (f'Axes with the needed {need:.2g} deg: {enough} of 3; at least 2 are needed, '
-                   'because a rotation says nothing about the translation along its own axis.')
+                   'because a rotation does not determine the translation along its axis.')
     figures = [Figure('motion', plot, reading)]
     gain = 'The drive is too short for this figure.'
     if len(growth) >= 4 and not np.isnan(growth[-1]).all():
         ratio = np.nanmedian(growth[len(growth) // 2] / np.maximum(growth[-1], 1e-300))
-        gain = (f'The second half of the drive made the deviations {ratio:.2g} times smaller '
-                '(1.4 is usual for more of the same motion).')
-    step = ('A step down marks a manoeuvre that helped; a flat curve says that more of the same '
-            'does not.')
+        gain = ('The second half of the drive made the standard deviations '
+                f'{ratio:.2g} times smaller (1.4 is usual for more of the same motion).')
+    step = ('A step down marks a manoeuvre that helped; where the curve is flat, more of the same '
+            'motion does not help.')
     for k, part, reading in zip((0, 3), _PARTS, (gain, step), strict=True):
         values, limit = growth[:, k:k + 3], data.rows[k].weak_limit
         plot = Plot((0.0, data.tracks.seconds[-1]), limits(values, limit, log=True), log_y=True,
                     x_label='driven, s', y_label=f'{unit_of(k)}, standard deviation')
-        # At the end where the curves are not.
+        # The label is at the end that the curves do not reach.
         plot.horizontal(limit, 'need', 'weak above', at_left=bool((values[-1:] > limit).any()))
         for axis, std in zip('xyz', values.T, strict=True):
             plot.line(data.parts.growth_s, std, f'line-{axis}')
@@ -135,7 +135,7 @@ def motion_figures(data: ReportData) -> list[Figure]:
 
 
 def part_figures(data: ReportData) -> list[Figure]:
-    """Return what quarters and time scales say of each number, relative to the answer."""
+    """Return each component from quarters and time scales, relative to the answer."""
     return [Figure('part', _part_plot(data, k), _agreement(data.parts, k),
                    names={'number': name.capitalize() if k >= 3 else f'Translation {name}'})
             for k, name in enumerate(DEGREES_OF_FREEDOM) if data.parts.names]
@@ -144,10 +144,10 @@ def part_figures(data: ReportData) -> list[Figure]:
 def _part_plot(data: ReportData, k: int) -> Plot:
     parts = data.parts
     values, std, known, own = parts.values[:, k], parts.std[:, k], parts.known[:, k], parts.own[k]
-    # One wild part must not flatten the others.
+    # A single outlier must not compress the axis.
     reach = max(2.2 * own, 1e-3, *(np.abs(values) + 2 * std)[known])
     reach = min(reach, max(8 * own, 3 * data.rows[k].weak_limit))
-    # A free place parts the quarters from the time scales.
+    # An empty place is between the quarters and the time scales.
     places = np.arange(len(values)) + (np.arange(len(values)) >= QUARTERS)
     x = (-0.6, places[-1] + 0.6)
     plot = Plot(x, (-reach, reach), height=150,
@@ -216,7 +216,7 @@ def residual_figures(data: ReportData) -> list[Figure]:
         sizes, expected, unit = (
             found.by_scale[:, kind], found.expected[:, kind], unit_of(3 * kind))
         plot = Plot((-0.6, len(names) - 0.4), limits(sizes, expected, log=True), log_y=True,
-                    x_ticks=names, x_label='length of the motions, s', y_label=unit)
+                    x_ticks=names, x_label='duration of the motions, s', y_label=unit)
         plot.line(np.arange(len(names)), expected, 'need')
         for k, (least, lower, middle, upper, most) in enumerate(sizes):
             plot.line([k, k], [least, most], 'zero')
@@ -230,7 +230,7 @@ def residual_figures(data: ReportData) -> list[Figure]:
 
 
 def clock_figures(data: ReportData) -> list[Figure]:
-    """Return what the clocks and the scale look like."""
+    """Return angular rates, correlation by clock offset, gaps, and scale over the drive."""
     clocks, result, scale = data.clocks, data.result, data.scale
     applied = f'{result.time_offset_s:+.4f} s was added to the stamps of b'
     if result.clock_drift:
@@ -261,15 +261,15 @@ def clock_figures(data: ReportData) -> list[Figure]:
                     limits(ratio - 2 * std, ratio + 2 * std, [0.999, 1.001]),
                     x_label='time, s', y_label='scale of b, relative to the answer')
         plot.horizontal(1.0, 'zero')
-        for middle, value, deviation in scale:
-            plot.error_bar(middle, value, deviation, 'near')
+        for middle, value, value_std in scale:
+            plot.error_bar(middle, value, value_std, 'near')
         figures.append(Figure('scale', plot, f'Scale of b {result.scale:.6g}; it varies by '
                               f'{100 * np.ptp(ratio):.2g} % over the drive.'))
     return figures
 
 
 def rates(clocks: Clocks) -> Plot:
-    """Draw the angular rates of both over each other."""
+    """Plot the angular rates of both sensors."""
     plot = Plot((clocks.seconds[0], clocks.seconds[-1]), from_zero(clocks.rates),
                 x_label='time, s', y_label='deg/s')
     for rate, style in zip(clocks.rates[::-1], ('line-b wide', 'line-a'), strict=True):
@@ -278,12 +278,12 @@ def rates(clocks: Clocks) -> Plot:
 
 
 def gap_strip(clocks: Clocks) -> Plot:
-    """Draw when each sensor has poses."""
+    """Plot the times with poses of each sensor."""
     plot = Plot((0.0, clocks.duration_s), (-0.5, 1.5), height=110, x_label='time, s',
                 y_ticks=[(1, 'a'), (0, 'b')])
     for row, spans, style in zip((1, 0), clocks.spans, ('fill-a', 'fill-b'), strict=True):
         for start, end in spans[:400]:
-            # A single pose is seen, too.
+            # A single pose is visible, too.
             end_ = max(end, start + clocks.duration_s / WIDTH)
             plot.rectangle((start, end_), (row - 0.3, row + 0.3), style)
     return plot

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where sensors are mounted, each with the region that holds it with 95 % probability."""
+"""Views of the positions and axes of sensors, with 95 % ellipses."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from trajectory_calibration.outputs.report.figures import ellipse, REACH, Scene
 from trajectory_calibration.outputs.report.page import Figure
 
 _WIDTH, _HEIGHT, _MARGIN = 360, 240, 38
-# Length of the axes of a sensor, in the picture.
+# Length of the axes of a sensor, units of the picture.
 _ARM = 22
-# Least metres that fill a view.
+# Smallest extent of a view, metres.
 _LEAST = 0.06
-# Share of the width from which on a name stands to the left of its sensor.
+# Beyond this share of the width a name is left of its sensor.
 _AT_RIGHT = 0.7
 
 
 class Mounted(NamedTuple):
-    """A sensor in the frame of the first one of several: its (4, 4) pose in metres.
+    """A sensor in the frame of the first sensor: ``T`` (4, 4), metres.
 
-    ``covariance`` is (6, 6) or larger than nothing is known of; ``colour`` is one of CSS.
+    ``covariance`` is (6, 6), zero if exact; ``status`` is by component; ``colour`` is of CSS.
     """
 
     name: str
@@ -37,21 +37,21 @@ class Mounted(NamedTuple):
 
     @property
     def unobserved(self) -> list[str]:
-        """Return those of x, y, z that are unobserved."""
+        """Return the unobserved components of the translation."""
         return [axis for axis in 'xyz' if self.status[axis] == UNOBSERVED]
 
 
 def sensor_views(sensors: Sequence[Mounted]) -> list[Figure]:
-    """Return figures of sensors seen along z, y and x of the frame of the first one."""
+    """Return views of sensors along z, y and x of the frame of the first one."""
     known = np.array([[axis not in sensor.unobserved for axis in 'xyz'] for sensor in sensors])
-    # What is unobserved of a sensor is drawn at its origin, without a size.
+    # An unobserved component is drawn at 0, without an ellipse.
     places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
     P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
         known[:, :, None] & known[:, None, :])
     reach = REACH * np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
     low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
     extent = np.maximum(high - low, _LEAST)
-    # One scale for all views; x is never upright, z never level.
+    # One scale for all views; x is always horizontal, and z always vertical.
     pixels = float(min((_WIDTH - 2 * _MARGIN) / extent[:2].max(),
                        (_HEIGHT - 2 * _MARGIN) / extent[1:].max()))
     figures = []
@@ -64,7 +64,7 @@ def sensor_views(sensors: Sequence[Mounted]) -> list[Figure]:
                 sensors, scene.place(places[:, axes]), strict=True)):
             words = f' ({", ".join(sensor.unobserved)} unknown)' if sensor.unobserved else ''
             at_right = x > _AT_RIGHT * _WIDTH
-            # One name above its sensor, the next one below: those of neighbours stand apart.
+            # Names are alternately above and below, so that they do not overlap.
             scene.text(x + (-7 if at_right else 7), y + (16 if k % 2 else -7),
                        sensor.name + words, 'end' if at_right else 'start')
         unobserved = '; '.join(f'{", ".join(names)} of {sensor.name}' for sensor in sensors

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where a went, and where b says that a went: the two tracks of a result, side by side."""
+"""The track of a, and the track of a from b with the extrinsic."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.time_alignment.pairing import associate
 
-# A step in which the tracks part by this many usual ones is a jump, also where no solver says so.
+# A residual of a step above this many medians is a jump, even if the solver found none.
 _JUMP = 12.0
-# Jumps that are drawn, the largest.
+# Most jumps that are drawn; the largest are kept.
 MOST_JUMPS = 80
-# The least standard deviation of a pose, metres and radians: rounding of files.
+# Smallest standard deviation of a pose, metres and radians: rounding of files.
 _LEAST_NOISE = 1e-10
-# Poses farther apart than this many usual steps tell no velocity.
+# No velocity is computed over a time step above this many medians.
 _NEAR = 3.0
 
 Indices = NDArray[np.intp]
@@ -35,15 +35,14 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """The poses of a, and those of a as b reports them through the extrinsic.
+    """The poses of a from its own trajectory, and from that of b with the extrinsic.
 
-    ``pairs`` are poses of both at common times, clock, scale and drift of b corrected;
-    ``poses_c``, (K, 4, 4), sensor a as b reports it, moved as a whole onto the track of a. (K,):
-    ``seconds`` from the first pair, ``path_m`` driven by a until then, ``distance_m`` and
-    ``angle_deg`` between the two. Indices of the poses after ``jumps``, (J,), and before
-    ``gaps`` of either sensor, (G,); ``usable``, (K - 1,), are steps without a jump. ``noise``,
-    (S, 3), has by time scale, seconds, the deviations of what the motions of both differ by, along
-    and about an axis, metres and radians.
+    ``pairs`` are K poses of both at common times, with clock, scale and drift of b corrected;
+    ``poses_c`` (K, 4, 4) are the poses of a from b, aligned to the track of a. (K,) arrays:
+    ``seconds`` from the first pair, path length of a ``path_m``, ``distance_m`` and ``angle_deg``
+    between the tracks. ``jumps`` (J,) are indices of poses after a jump, ``gaps`` (G,) of poses
+    before a gap of either sensor; ``usable`` (K - 1,) are steps without a jump. ``noise`` (S, 3)
+    has time scales, seconds, and standard deviations of ``log(A^-1 C)`` per axis, metres, radians.
     """
 
     pairs: PosePairs
@@ -61,10 +60,10 @@ class Tracks:
         return len(self.seconds)
 
     def largest_jumps(self) -> Indices:
-        """Return the indices of ``MOST_JUMPS``, those in which the tracks part most."""
-        apart = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(
+        """Return the indices of the ``MOST_JUMPS`` largest jumps, in the order of time."""
+        differences = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(
             self.poses_c[:, :3, 3], axis=0)
-        size = np.linalg.norm(apart[self.jumps - 1], axis=1)
+        size = np.linalg.norm(differences[self.jumps - 1], axis=1)
         return np.sort(self.jumps[np.argsort(-size, kind='stable')[:MOST_JUMPS]])
 
     def motions(
@@ -76,15 +75,15 @@ class Tracks:
     def covariance(
         self, T_a_b: FloatArray, A: FloatArray, i: Indices, j: Indices,
     ) -> FloatArray:
-        """Return (M, 6, 6), what noise does to ``log(A^-1 C)`` of the motions A from i to j.
+        """Return (M, 6, 6) covariances of ``log(A^-1 C)`` from noise, for motions A from i to j.
 
-        The noise of the first pose reaches the translation through the length of the motion, that
-        of the way through a third of its square.
+        Rotation noise of the first pose acts on the translation with the length of the motion as
+        lever arm; a random walk during the motion has a third of its square.
         """
         X = se3.adjoint(T_a_b)
 
         def of_both(variances: FloatArray) -> FloatArray:
-            """Return what half of (..., 2) variances, of each sensor in its own axes, make."""
+            """Return (..., 6, 6) from (..., 2) variances, half of which is of each sensor."""
             own = 0.5 * np.repeat(variances, 3, axis=-1)[..., None] * np.eye(6)
             return own + X @ own @ X.T
 
@@ -101,13 +100,16 @@ class Tracks:
 
 
 def corrected_b(result: CalibrationResult, b: Trajectory) -> Trajectory:
-    """Return b in the clock and the unit of a, as the result has them."""
+    """Return b in the clock and the unit of a, corrected by the result."""
     b = b.retimed(result.clock_drift, result.clock_drift_from_ns).scaled(result.scale)
     return replace(b, stamps_ns=b.stamps_ns + round(result.time_offset_s * 1e9))
 
 
 def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> Tracks:
-    """Carry ``corrected_b`` over to a; raises AssociationError where they do not meet."""
+    """Return the tracks of a and ``corrected_b``.
+
+    Raises AssociationError if they have no common time.
+    """
     pairs = associate(a, b, result.config)
     diagnosis = result.diagnosis or {}
     poses_b = _without_drift(pairs.poses_b, diagnosis.get('systematic_drift', (0, 0, 0)))
@@ -119,29 +121,29 @@ def compare_tracks(result: CalibrationResult, a: Trajectory, b: Trajectory) -> T
     usable = np.ones(len(pairs) - 1, dtype=bool)
     usable[jumps - 1] = False
     p_a, p_c = pairs.poses_a[:, :3, 3], poses_c[:, :3, 3]
-    apart = np.swapaxes(pairs.poses_a[:, :3, :3], 1, 2) @ poses_c[:, :3, :3]
+    R_a_c = np.swapaxes(pairs.poses_a[:, :3, :3], 1, 2) @ poses_c[:, :3, :3]
     return Tracks(
         pairs, poses_c,
         seconds=(pairs.stamps_ns - pairs.stamps_ns[0]) * 1e-9,
         path_m=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p_a, axis=0), axis=1))]),
         distance_m=np.linalg.norm(p_a - p_c, axis=1),
-        angle_deg=np.rad2deg(se3.rotation_angle(apart)),
+        angle_deg=np.rad2deg(se3.rotation_angle(R_a_c)),
         jumps=jumps, usable=usable, gaps=_gaps(pairs, a, b),
         noise=_noise(result, pairs, poses_c))
 
 
 def _noise(result: CalibrationResult, pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
-    """Return the (S, 3) noise of ``Tracks``, as the solver that identifies it has it."""
-    apart = (result.diagnosis or {}).get('apart')
-    if apart is None:
+    """Return the (S, 3) noise of ``Tracks`` from the diagnosis of the most likely solver."""
+    noise = (result.diagnosis or {}).get('apart')
+    if noise is None:
         with suppress(MotionError, SolverError):
             known = most_likely(pairs, result.config).diagnosis
-            apart = None if known is None else known.apart
-    if apart is None:
-        # Too few poses for a model: what the steps differ by.
-        steps = _steps_apart(pairs, poses_c).reshape(-1, 2, 3)
-        apart = [[0.0, *np.sqrt(np.mean(steps**2, axis=(0, 2)))]]
-    return np.maximum(apart, [0.0, _LEAST_NOISE, _LEAST_NOISE])
+            noise = None if known is None else known.apart
+    if noise is None:
+        # Too few poses for a noise model: root mean square of the residuals of steps.
+        steps = _step_residuals(pairs, poses_c).reshape(-1, 2, 3)
+        noise = [[0.0, *np.sqrt(np.mean(steps**2, axis=(0, 2)))]]
+    return np.maximum(noise, [0.0, _LEAST_NOISE, _LEAST_NOISE])
 
 
 def _motions(
@@ -151,14 +153,14 @@ def _motions(
     return A, C, se3.log_se3(se3.inverse(A) @ C)
 
 
-def _steps_apart(pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
-    """Return (K - 1, 6), by how much the steps of both differ."""
+def _step_residuals(pairs: PosePairs, poses_c: FloatArray) -> FloatArray:
+    """Return (K - 1, 6) residuals ``log(A^-1 C)`` of the steps from pose to pose."""
     i = np.arange(len(pairs) - 1)
     return _motions(pairs.poses_a, poses_c, i, i + 1)[2]
 
 
 def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
-    """Return the indices of the pairs after which one of the sensors has a gap."""
+    """Return indices of the pairs before a gap of either sensor."""
     middles = np.concatenate([
         (item.stamps_ns[:-1] + np.diff(item.stamps_ns) // 2)[item.gaps] for item in trajectories])
     before = np.unique(np.searchsorted(pairs.stamps_ns, middles) - 1)
@@ -166,7 +168,7 @@ def _gaps(pairs: PosePairs, *trajectories: Trajectory) -> Indices:
 
 
 def _without_drift(poses_b: FloatArray, drift: Sequence[float]) -> FloatArray:
-    """Take a constant drift per metre, that was identified, out of the positions of b."""
+    """Remove the identified constant drift per metre from the positions of b."""
     if not any(drift):
         return poses_b
     steps = np.diff(poses_b[:, :3, 3], axis=0)
@@ -178,11 +180,11 @@ def _without_drift(poses_b: FloatArray, drift: Sequence[float]) -> FloatArray:
 
 
 def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float) -> FloatArray:
-    """Move the positions of b to where they belong, where they are older than the attitude."""
+    """Correct positions of b that are older than the orientations by the latency."""
     if not latency_s:
         return poses_b
     seconds = (stamps_ns - stamps_ns[0]) * 1e-9
-    # As far as neighbours tell a velocity: a jump in a gap is none.
+    # A displacement over a gap is no velocity.
     near = np.diff(seconds) <= _NEAR * np.median(np.diff(seconds))
     known = np.concatenate([[True], near]) & np.concatenate([near, [True]])
     moved = poses_b.copy()
@@ -193,8 +195,8 @@ def _in_time(poses_b: FloatArray, stamps_ns: NDArray[np.int64], latency_s: float
 def _jumps(
     named: Sequence[dict[str, Any]], pairs: PosePairs, poses_c: FloatArray,
 ) -> Indices:
-    """Return the indices of the poses after a jump: named by the solver, or large."""
+    """Return indices of the poses after a jump: found by the solver, or large."""
     nearest = [np.abs(pairs.stamps_ns[1:] - jump['stamp_ns']).argmin() for jump in named]
-    size = np.linalg.norm(_steps_apart(pairs, poses_c).reshape(-1, 2, 3), axis=2)
+    size = np.linalg.norm(_step_residuals(pairs, poses_c).reshape(-1, 2, 3), axis=2)
     large = (size > np.maximum(_JUMP * np.median(size, axis=0), 1e-9)).any(axis=1)
     return 1 + np.union1d(np.array(nearest, dtype=np.intp), np.flatnonzero(large))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The two tracks as a drawing from above, and as numbers for the view that can be turned."""
+"""The two tracks as a drawing from above, and as data of the interactive 3D view."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.figures import evenly, Scene
 from trajectory_calibration.outputs.report.tracks import Tracks
 
-# Poses of a track that are drawn.
+# Most poses of a track.
 _POSES = 900
-# Of a drawing as wide as the page.
+# Size of a drawing as wide as the page.
 WIDE, HIGH = 720, 430
 _MOST_GAPS = 300
 
 
 def track_view(tracks: Tracks) -> str:
-    """Return the view from above, which a script makes one that can be turned."""
-    names, turned = upright(tracks.pairs.poses_a[:, :3, 3])
-    a, c = (poses[:, :3, 3] @ turned.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
-    # With both ends of each jump and gap.
+    """Return the view from above as HTML, and the data for the script of the 3D view."""
+    names, R = upright(tracks.pairs.poses_a[:, :3, 3])
+    a, c = (poses[:, :3, 3] @ R.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
+    # Both ends of each jump and gap are kept.
     ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
     ends = np.clip(np.add.outer([-1, 0, 1], ends).ravel(), 0, len(a) - 1)
     keep = np.union1d(evenly(len(a), _POSES), ends)
     middle, size = a[keep].mean(axis=0), max(np.ptp(a[keep], axis=0).max(), 1e-6)
-    # To less than a thousandth of the track.
+    # Rounding is below a thousandth of the size of the track.
     digits = int(np.ceil(3 - np.log10(size)))
     words = json.dumps({
         'a': np.round(a[keep] - middle, digits).tolist(),
@@ -42,9 +42,9 @@ def track_view(tracks: Tracks) -> str:
 
 
 def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
-    """Return the names of three axes of which the last is up, and the (3, 3) turn to them.
+    """Return the names of three axes, the last one up, and the (3, 3) rotation to them.
 
-    Up is the axis in which a track is shortest. The world of a camera has y down.
+    Up is the axis of the smallest extent of (N, 3) positions. In a camera's world y is down.
     """
     up = int(np.argmin(np.ptp(positions, axis=0)))
     if up == 1:
@@ -56,7 +56,7 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
 def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) -> Scene:
     """Draw both (K, 2) tracks."""
     scene = Scene.around(np.concatenate([a, c]), WIDE, HIGH)
-    # The step over a gap is dashed, and parts the pieces of the track.
+    # A gap is a dashed line.
     gaps = np.flatnonzero(np.isin(keep, tracks.gaps))
     gaps = gaps[gaps + 1 < len(keep)]
     for points, style in ((c[keep], 'line-b wide'), (a[keep], 'line-a')):
@@ -75,9 +75,9 @@ def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) 
 
 
 def single_track(positions: FloatArray, style: str) -> Scene:
-    """Draw one track along the two axes in which it is longest."""
-    axes, turned = upright(positions)
-    points = (positions[evenly(len(positions), _POSES)] @ turned.T)[:, :2]
+    """Draw a track of (N, 3) positions from above."""
+    axes, R = upright(positions)
+    points = (positions[evenly(len(positions), _POSES)] @ R.T)[:, :2]
     scene = Scene.around(points, 360, 240)
     scene.line(points, style)
     scene.dot(scene.place(points[0]), 4, 'start')
