@@ -264,7 +264,7 @@ def test_a_reset_forgets_what_has_not_come_out_yet():
 
 def held(follower):
     """Return how many transforms a follower holds, those that wait among them."""
-    return sum(len(edge.samples[0]) + len(edge.waiting) for edge in follower._tree.edges)
+    return sum(len(edge.samples[0]) + len(edge.pending) for edge in follower._tree.edges)
 
 
 @pytest.mark.parametrize('parent, child', [('map', 'base'), ('map', 'odom'), ('map', 'tool')])

@@ -33,7 +33,7 @@ from trajectory_calibration.fleet.comparison import Entry, short_names
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.inputs import InputOptions, load_inputs
-from trajectory_calibration.sources.storage import as_counted
+from trajectory_calibration.sources.storage import natural_key
 from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
 
@@ -117,7 +117,7 @@ def read_jobs(
 
 
 def _expand(pattern: str) -> list[str]:
-    found = sorted(glob.glob(pattern, recursive=True), key=as_counted)  # noqa: PTH207
+    found = sorted(glob.glob(pattern, recursive=True), key=natural_key)  # noqa: PTH207
     # A path that does not exist is a recording without an answer, a pattern without a match none.
     return found or ([] if glob.has_magic(pattern) else [pattern])
 

@@ -123,7 +123,7 @@ def _of_sensors(description: RigDescription) -> dict[str, dict[str, Any]]:
               if value != getattr(defaults, name)}
     found = {}
     for name, (source, options) in description.inputs.items():
-        if options.of_files() or options.invert or Path(source).is_file():
+        if options.file_options() or options.invert or Path(source).is_file():
             raise ConfigError(f'sensor {name} has a file, needed a topic or tf for a node')
         settings = description.config.of(name)
         found[name] = {

@@ -10,7 +10,7 @@ from pathlib import Path
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import ConfigError, counted, ResultError
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.sources.storage import as_counted
+from trajectory_calibration.sources.storage import natural_key
 
 # Files that are named; the rest is counted.
 _NAMED = 3
@@ -26,7 +26,7 @@ def read_results(
     """
     found: dict[frozenset[str], list[tuple[Path, CalibrationResult]]] = {}
     failures = []
-    for path in sorted(paths, key=as_counted):
+    for path in sorted(paths, key=natural_key):
         result = _read(path)
         if isinstance(result, ResultError):
             failures.append(str(result))

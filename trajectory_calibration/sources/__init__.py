@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where trajectories come from: files and bags here, live buffers in ``online``.
+"""Trajectories from files and bags. Live buffers are in ``online``.
 
 ``FileSource('a.tum').load()`` and ``BagSource(['drive.mcap'], '/odometry').load()`` return a
-``Trajectory``; ``inputs.load_inputs`` takes either, and pairs of frames of TF.
+``Trajectory``; ``inputs.load_inputs`` accepts both, and pairs of TF frames.
 """
 
 from typing import Any, TYPE_CHECKING

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories in bags: rosbag2 (sqlite3, mcap, compressed or not) and ROS 1.
 
-Of a damaged bag, what is whole is used, with a note that says how much is missing.
+The intact messages of a damaged bag are used; a note gives the number of missing ones.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from trajectory_calibration.sources.topics import (
 )
 from trajectory_calibration.sources.transforms import names_frames, TransformTree
 
-# Called with the messages read so far and the messages expected.
+# Arguments: messages read so far, messages expected.
 Progress = Callable[[int, int], None]
 
-# For each topic the bag and the messages of each file.
+# Topic -> the bag and the messages of each file.
 _Found = dict[str, list[tuple[Bag, TopicCollector]]]
 
 _READABLE = ('cdr', 'ros1')
@@ -44,10 +44,10 @@ class BagSource:
 
     Attributes
     ----------
-    bags : bag folders or files, of ROS 1, of ROS 2, or some of each.
+    bags : bag folders or files, of ROS 1, ROS 2, or both.
     topic : of type Odometry, PoseStamped, PoseWithCovarianceStamped, TransformStamped or Path;
-        or ``tf:PARENT.CHILD``, the pose of a frame in another by the transforms of the bag.
-    sensor_frame, world_frame : names that override those of the messages.
+        or ``tf:PARENT.CHILD``, the pose of CHILD in PARENT from the transforms of the bag.
+    sensor_frame, world_frame : override the names in the messages.
 
     """
 
@@ -59,8 +59,8 @@ class BagSource:
     def load(self) -> Trajectory:
         """Read the topic.
 
-        Raise SourceError where a bag cannot be read, or the topic holds fewer than two usable
-        poses; TopicError where it cannot serve or is none, with those that can.
+        Raise SourceError if a bag cannot be read or the topic has fewer than two usable poses;
+        TopicError if it does not exist or is no trajectory. The message lists the usable topics.
         """
         with open_bags(self.bags) as reader:
             track = reader.read([self.topic])[self.topic]
@@ -71,9 +71,9 @@ class BagSource:
 def open_bags(paths: Iterable[str | os.PathLike[str]]) -> Iterator[BagReader]:
     """Open several bags together; they close with the ``with`` statement.
 
-    Raise SourceError where a path is no bag, or nothing in any of them can be read.
+    Raise SourceError if a path is no bag, or none of the files can be read.
     """
-    # Patterns of the shell name a bag twice.
+    # A shell pattern can match the same bag twice.
     once = {os.path.realpath(path): Path(path) for path in paths}
     bags = [find_bag(path) for path in once.values()]
     with ExitStack() as stack:
@@ -87,7 +87,7 @@ class BagReader:
 
     Attributes
     ----------
-    channels : topics, types and counts over all bags, by name.
+    channels : topics, types and message counts over all bags, sorted by name.
 
     """
 
@@ -105,7 +105,7 @@ class BagReader:
 
     @property
     def notes(self) -> list[str]:
-        """Return what is wrong with the bags as a whole, as far as they have been read."""
+        """Return the damage found in the bags so far."""
         return [note for bag in self._bags for note in bag.all_notes()]
 
     @property
@@ -117,10 +117,10 @@ class BagReader:
     def read(
         self, names: Sequence[str], progress: Progress | None = None,
     ) -> dict[str, TopicTrack]:
-        """Read topics and ``tf:PARENT.CHILD`` in one pass; the first carries the notes on bags.
+        """Read topics and ``tf:PARENT.CHILD`` in one pass.
 
-        Raise TopicError where there is no such topic, or it cannot serve; the message lists those
-        that can.
+        The first track also has the notes on damaged bags. Raise TopicError if a topic does not
+        exist or is no trajectory; the message lists the usable topics.
         """
         topics = {name: self._topic(name) for name in names if not names_frames(name)}
         for topic in topics.values():
@@ -152,12 +152,12 @@ class BagReader:
         return result
 
     def transforms(self) -> TransformTree:
-        """Return all transforms of the bags; none where they hold no such topic."""
+        """Return all transforms of the bags; an empty tree if they have no TF topic."""
         topics = self._transform_topics()
         return transform_tree(_filled(self._gather(dict.fromkeys(topics, TF), None), topics))
 
     def _gather(self, types: dict[str, str], progress: Progress | None) -> _Found:
-        """Read topics of some types, all bags once."""
+        """Read the topics (name -> type) from all bags in one pass."""
         total = sum(channel.messages for channel in self.channels if channel.topic in types)
         count = 0
         found: _Found = {topic: [] for topic in types}
@@ -176,13 +176,13 @@ class BagReader:
         return found
 
     def _topic(self, name: str) -> str:
-        """Return the name of a topic that was given with or without its leading slash."""
+        """Return the topic's name in the bags, which may differ by a leading slash."""
         topics = {channel.topic for channel in self.channels}
         other = name.removeprefix('/') if name.startswith('/') else f'/{name}'
         return other if name not in topics and other in topics else name
 
     def _fault(self, topic: str) -> str:
-        """Say why a topic cannot serve as a trajectory; nothing where it can."""
+        """Return why a topic cannot be used as a trajectory, '' if it can."""
         channels = [channel for channel in self.channels if channel.topic == topic]
         types = [channel.msgtype for channel in channels]
         encodings = sorted({channel.encoding for channel in channels})

@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What every container gives: channels, batches of their messages, and what is damaged.
+"""The interface of all bag files: channels, batches of messages, and damage.
 
-All of them are read from their start, and their index serves as a check: a file without one, or
-cut off, or with damaged parts, then needs no reader of its own. What is whole is read, and what
-the index declares tells how much is missing.
+Every file is read from its start, and its index serves as a check only. So a file without an
+index, truncated or damaged needs no separate reader: the intact messages are read, and the index
+tells how many are missing.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import NamedTuple
 from trajectory_calibration.errors import MissingPackageError, SourceError
 
 _OLD_NAMES = {'tf/msg/tfMessage': 'tf2_msgs/msg/TFMessage'}
-# Messages that wait until they become numbers: enough to make NumPy's overhead vanish.
+# Messages per batch: enough to make NumPy's overhead negligible.
 _BATCH = 4096
 
 
 class Channel(NamedTuple):
-    """A topic in a file: its name, its type, how many messages, how they are serialised."""
+    """A topic in a file: name, type, number of messages, serialization format."""
 
     topic: str
     msgtype: str
@@ -32,7 +32,7 @@ class Channel(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Messages of one channel: times of reception in nanoseconds, and the serialised data."""
+    """Messages of one channel: receive times in nanoseconds, and serialized data."""
 
     channel: Channel
     received_ns: list[int]
@@ -44,9 +44,9 @@ class Storage(ABC):
 
     Attributes
     ----------
-    channels : topics, types and counts.
-    damage : what was found wrong so far; empty where nothing was.
-    counted : whether the counts come from an index, and reading can give fewer.
+    channels : topics, types and message counts.
+    damage : the first damage found so far, '' if none.
+    counted : whether the counts come from an index, so that fewer messages may be readable.
 
     """
 
@@ -54,7 +54,7 @@ class Storage(ABC):
     index_damage = 'its index is damaged: {}'
 
     def __init__(self) -> None:
-        # Channels by their number in the file, and whether their messages are asked for.
+        # By channel number in the file: the channel, and whether its messages are requested.
         self._declared: dict[int, Channel] = {}
         self._wanted: dict[int, bool] = {}
         self._topics: Collection[str] | None = ()
@@ -63,7 +63,7 @@ class Storage(ABC):
             counts = self._index()
         self.counted = counts is not None
         if counts is None:
-            # What was understood of the index is not trusted.
+            # A partly readable index is not trusted.
             self._declared.clear()
             self._want(None)
             counts = Counter(key for key, _, _ in self._read())
@@ -71,7 +71,7 @@ class Storage(ABC):
                          for key, channel in self._declared.items()]
 
     def messages(self, topics: Collection[str]) -> Iterator[Batch]:
-        """Yield the whole messages of some topics, of each in the order of the file."""
+        """Yield the intact messages of some topics, each topic in file order."""
         self._want(topics)
         gathered: dict[int, tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
         for key, received_ns, message in self._read():
@@ -85,16 +85,16 @@ class Storage(ABC):
 
     @abstractmethod
     def _index(self) -> Mapping[int, int] | None:
-        """Declare the channels of the index; return the messages of each, None without a count.
+        """Declare the channels of the index; return their message counts, None if it has none.
 
-        May raise any exception where the index is damaged.
+        May raise any exception if the index is damaged.
         """
 
     @abstractmethod
     def _read(self) -> Iterator[tuple[int, int, bytes]]:
-        """Yield channel, time and data of the whole messages that are ``_wanted``.
+        """Yield channel, receive time and data of the intact messages that are ``_wanted``.
 
-        Declare channels on the way.
+        Declare each channel when it is found.
         """
 
     def _declare(self, key: int, channel: Channel) -> None:
@@ -102,23 +102,23 @@ class Storage(ABC):
         self._wanted[key] = self._topics is None or channel.topic in self._topics
 
     def _want(self, topics: Collection[str] | None) -> None:
-        """Ask for the messages of some topics; of all for None."""
+        """Request the messages of some topics, or of all for None."""
         self._topics = topics
         self._wanted.clear()
         for key, channel in self._declared.items():
             self._declare(key, channel)
 
     def note_damage(self, what: str) -> None:
-        """Keep what is wrong, of several things the first."""
+        """Record the damage; only the first report is kept."""
         self.damage = self.damage or what
 
     def noting(self, what: str = '{}') -> AbstractContextManager[None]:
-        """Run what a damaged file may break, and note ``what`` with the reason in its place."""
-        return border(lambda reason: self.note_damage(what.format(reason)))
+        """Return a context that records errors as damage: ``what``, formatted with the reason."""
+        return errors_noted(lambda reason: self.note_damage(what.format(reason)))
 
 
 class Unreadable(Storage):
-    """A file of a bag in which nothing can be read."""
+    """A bag file that cannot be read at all."""
 
     def _index(self) -> None:
         return None
@@ -128,11 +128,11 @@ class Unreadable(Storage):
 
 
 @contextmanager
-def border(note: Callable[[str], None]) -> Iterator[None]:
-    """Run what a damaged file may break; hand the reason to ``note`` and go on behind it.
+def errors_noted(note: Callable[[str], None]) -> Iterator[None]:
+    """Suppress errors of reading a damaged file; pass the reason to ``note``.
 
-    sqlite3, struct, mmap, YAML and the decompressors raise 17 kinds of errors there, and none
-    means more than that something is damaged. What this package says itself passes.
+    sqlite3, struct, mmap, YAML and the decompressors raise 17 kinds of errors, all of which mean
+    only that the file is damaged. The errors of this package are not suppressed.
     """
     try:
         yield
@@ -143,7 +143,7 @@ def border(note: Callable[[str], None]) -> Iterator[None]:
 
 
 def plain_type(msgtype: str) -> str:
-    """Return a type as ROS 2 names it: nav_msgs/Odometry as nav_msgs/msg/Odometry."""
+    """Return the ROS 2 name of a message type: nav_msgs/Odometry -> nav_msgs/msg/Odometry."""
     package, _, name = msgtype.partition('/')
     full = msgtype if '/' in name or not name else f'{package}/msg/{name}'
     return _OLD_NAMES.get(full, full)

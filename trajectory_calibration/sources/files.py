@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories in files: tables of any layout, g2o, COLMAP, nerfstudio, NumPy.
 
-docs/inputs.md lists them. Rows that are not finite, or whose quaternion is all zeros, are what a
-SLAM writes while it is lost; so are rows of the identity far from their neighbours. They are
-dropped with a finding, and so is a last line that a recorder which was killed left incomplete.
-What does not fit or is ambiguous is a ``SourceError`` that names the option to try.
+docs/inputs.md lists them. A SLAM that is lost writes rows that are not finite, zero quaternions,
+or identity poses far from their neighbours. Such rows are dropped with a finding, and so is an
+incomplete last line (the recorder was killed). Ambiguous or invalid files raise ``SourceError``,
+whose message names the option to try.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from trajectory_calibration.sources.structured import (
 )
 from trajectory_calibration.sources.text import read_text, Table
 from trajectory_calibration.sources.times import (
-    judge_seconds,
+    check_seconds,
     read_times,
     time_unit_of,
 )
@@ -69,9 +69,9 @@ class FileSource:
     Attributes
     ----------
     path : the file.
-    file_format : one of ``FORMATS``; told from the file where None.
-    times : a file with the time of each pose, one a line, for files that have none.
-    sensor_frame, world_frame : names, which no format carries.
+    file_format : one of ``FORMATS``; None to detect it.
+    times : a file with the time of each pose, one per line, if the first file has no times.
+    sensor_frame, world_frame : frame names; the formats have none.
     columns : names of the columns of a table, ``t,x,y,z,qw,qx,qy,qz``; ``-`` skips one.
     quaternion_order : 'xyzw' or 'wxyz'.
     time_unit : 's', 'ms', 'us' or 'ns'.
@@ -90,31 +90,31 @@ class FileSource:
     def load(self) -> Trajectory:
         """Read the file.
 
-        Raise ConfigError for an option that is unknown or does not fit; SourceError where the
-        file cannot be read, is empty, or its layout is unknown or ambiguous.
+        Raise ConfigError for an option that is unknown or does not fit; SourceError if the file
+        cannot be read, is empty, or its layout is unknown or ambiguous.
         """
         return self.load_described()[0]
 
     def load_described(self) -> tuple[Trajectory, str]:
-        """Return what ``load`` does, and how the file was read: its columns, or its format."""
+        """Return the trajectory as ``load`` does, and the columns or format that were used."""
         for name, choices in (('file_format', FORMATS), ('quaternion_order', QUATERNION_ORDERS),
                               ('time_unit', tuple(TIME_UNITS))):
             if getattr(self, name) not in (None, *choices):
                 raise ConfigError(f'{name} {getattr(self, name)!r} is unknown; needed one of '
                                   f'{", ".join(choices)}')
-        raw = self._timed(self._read())
+        raw = self._with_times(self._read())
         if raw.stamps_ns is None:
             raise SourceError(
                 f'{self.path} holds poses that carry no time ({raw.kind}); give the file of their '
                 'times as well, one a line: --times-a, --times-b (--times of inspect)')
         usable = UsablePoses(
             str(self.path), counted(len(raw.poses), 'row'), raw.poses, raw.findings)
-        usable.drop(_lost(raw.poses), ': not finite, or a quaternion of zeros')
+        usable.drop(_has_no_pose(raw.poses), ': not finite, or a quaternion of zeros')
         return (usable.to_trajectory(raw.stamps_ns, self.world_frame, self.sensor_frame),
                 raw.layout or raw.kind)
 
     def _read(self) -> RawPoses:
-        """Return what the file holds."""
+        """Return the poses of the file before any row is dropped."""
         path = Path(self.path)
         kind = self.file_format
         if kind == 'npy' or (kind is None and is_array(path)):
@@ -127,7 +127,7 @@ class FileSource:
         return self._table(Table.parse(path, text))
 
     def _table(self, table: Table) -> RawPoses:
-        """Return the poses of a table, all rows of it."""
+        """Return the poses of all rows of a table."""
         layout = self._layout(table)
         if table.width <= max(layout.pose_columns):
             raise SourceError(
@@ -135,8 +135,8 @@ class FileSource:
                 f'{max(layout.pose_columns) + 1}')
         unit = self.time_unit or layout.unit or (
             's' if layout.time is None else time_unit_of(table.sample()[:, layout.time]))
-        whole = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
-        numbers = table.read_numbers(layout.pose_columns + whole, layout.time, TIME_UNITS[unit])
+        integers = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
+        numbers = table.read_numbers(layout.pose_columns + integers, layout.time, TIME_UNITS[unit])
         values, rest = np.split(numbers.values, [len(layout.pose_columns)], axis=1)
         kind, names = counted(table.width, 'column'), layout.names()
         if layout.time is None and '-' in names.split(','):
@@ -151,11 +151,11 @@ class FileSource:
                                   'the times? Say --time-unit')
             if 'nsec' in layout.columns:
                 if not ((rest[:, 0] >= 0) & (rest[:, 0] < 1e9)).all():
-                    raise SourceError(f'{self.path}: column {whole[0] + 1} holds no nanoseconds '
-                                      'below one second')
+                    raise SourceError(f'{self.path}: column {integers[0] + 1} holds no '
+                                      'nanoseconds below one second')
                 raw.stamps_ns = raw.stamps_ns + np.rint(rest[:, 0]).astype(np.int64)
             elif unit == 's' and not self.time_unit:
-                raw.stamps_ns, raw.findings = judge_seconds(raw.stamps_ns, numbers.places)
+                raw.stamps_ns, raw.findings = check_seconds(raw.stamps_ns, numbers.places)
             if unit not in ('s', layout.unit, self.time_unit):
                 raw.findings.append(Finding(
                     'input-read-as', f'its times are read as {unit}, judged by their size',
@@ -163,12 +163,12 @@ class FileSource:
         if 'number' in layout.columns:
             raw.numbers = np.rint(rest[:, -1]).astype(np.int64)
         if layout.at(QUATERNION):
-            self._require_unit(raw, table, layout)
+            self._require_unit_norm(raw, table, layout)
         raw.findings += [Finding('input-repaired', note) for note in table.notes]
         return raw
 
     def _layout(self, table: Table) -> Layout:
-        """Return what the columns are: as the user, the heading, or the numbers say."""
+        """Return the layout from the option, else from the heading, else from the numbers."""
         if self.columns is not None:
             return from_names(self.columns, table.width).ordered(self.quaternion_order)
         try:
@@ -189,14 +189,14 @@ class FileSource:
                 raise
             raise SourceError(f'{self.path}: {error}') from error
 
-    def _require_unit(self, raw: RawPoses, table: Table, layout: Layout) -> None:
-        """Raise SourceError for quaternions that are none; see to a last row that is cut off."""
-        lost = _lost(raw.poses)
+    def _require_unit_norm(self, raw: RawPoses, table: Table, layout: Layout) -> None:
+        """Raise SourceError for quaternions not of unit norm; drop a truncated last row."""
+        lost = _has_no_pose(raw.poses)
         with np.errstate(over='ignore', invalid='ignore'):
             norm = np.linalg.norm(raw.poses[:, 3:], axis=1)
             wrong = ~lost & ~(np.abs(norm - 1) <= ROTATION_TOLERANCE)
         if wrong[-1] and not table.complete:
-            # A row can end within its last number too; the norm then tells.
+            # A row can be truncated within its last number; then only the norm shows it.
             table.drop_last()
             raw.poses[-1] = np.nan
             wrong[-1] = False
@@ -215,8 +215,8 @@ class FileSource:
                 'the first quaternion is 1 0 0 0, half a turn about x. If the sensor began '
                 'without a rotation, w comes first: add --quaternion-order wxyz'))
 
-    def _timed(self, raw: RawPoses) -> RawPoses:
-        """Return the poses with the times of the other file, where one is given."""
+    def _with_times(self, raw: RawPoses) -> RawPoses:
+        """Return the poses with the times from the file ``times``, if given."""
         if self.times is None:
             return raw
         if raw.stamps_ns is not None and raw.numbers is None:
@@ -226,7 +226,7 @@ class FileSource:
         if numbers is not None and poses != count and numbers[0] >= 0 and numbers[-1] < count:
             raw.poses[missing[numbers]] = np.nan
             return replace(raw, stamps_ns=stamps_ns[numbers])
-        # A last line that was cut off has left one of the two files a row shorter.
+        # A truncated last line makes one of the two files a row shorter.
         if abs(poses - count) > bool(raw.findings):
             raise SourceError(
                 f'{self.path} holds {counted(poses, "pose")} and {self.times} '
@@ -237,7 +237,7 @@ class FileSource:
 
 
 def _poses(values: FloatArray, layout: Layout) -> FloatArray:
-    """Return (N, 7) poses or (N, 4, 4) matrices of the columns of a pose."""
+    """Return (N, 7) poses or (N, 4, 4) matrices from the pose columns, (N, K)."""
     if layout.at(QUATERNION):
         return values
     T = np.zeros((len(values), 4, 4))
@@ -253,8 +253,8 @@ def _poses(values: FloatArray, layout: Layout) -> FloatArray:
     return T
 
 
-def _lost(poses: FloatArray) -> NDArray[np.bool_]:
-    """Tell which rows hold no pose: not finite, or without a rotation."""
+def _has_no_pose(poses: FloatArray) -> NDArray[np.bool_]:
+    """Return (N,), which rows have no pose: not finite, or with a zero rotation."""
     rotation = poses[:, 3:] if poses.ndim == 2 else poses[:, :3, :3].reshape(-1, 9)
     lost: NDArray[np.bool_] = np.logical_or(
         ~np.isfinite(poses.reshape(len(poses), -1)).all(axis=1), (rotation == 0).all(axis=1))

@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One name for everything that can be read: a file, a topic of a bag, a pair of frames of TF.
+"""Inputs by name: a file, a topic of a bag, or a pair of TF frames.
 
-``load_inputs`` returns the trajectories of several, bags read once for all.
+``load_inputs`` loads several trajectories and reads the bags only once.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.sources.files import FileSource
 from trajectory_calibration.sources.transforms import names_frames
 
-# Called with the part done and the whole.
+# Arguments: messages read so far, messages expected.
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class InputOptions:
-    """How one trajectory is to be read; None where the file or the messages tell.
+    """How to read one trajectory; None means: from the file or the messages.
 
     Attributes
     ----------
-    frame : name of the frame of the sensor.
-    invert : whether the input holds the pose of the world in the sensor.
-    file_format, times, columns, quaternion_order, time_unit : see ``FileSource``; of files only.
+    frame : name of the sensor frame.
+    invert : whether the input has the pose of the world in the sensor frame.
+    file_format, times, columns, quaternion_order, time_unit : see ``FileSource``; files only.
 
     """
 
@@ -49,9 +49,9 @@ class InputOptions:
     def from_dict(
         cls, values: Mapping[str, Any], folder: Path, suffix: str = '',
     ) -> InputOptions:
-        """Build options from plain data; names have the suffix, and paths begin in the folder.
+        """Build options from plain data; keys have the suffix, paths are relative to the folder.
 
-        Other keys are left alone. Raises ConfigError for a value of the wrong kind.
+        Other keys are ignored. Raises ConfigError for a value of the wrong type.
         """
         options: dict[str, Any] = {}
         for item in fields(cls):
@@ -59,7 +59,7 @@ class InputOptions:
             value = values.get(name)
             if value is None:
                 continue
-            # A number may be a name: YAML makes one of 5.
+            # A number can be a name: YAML reads the name 5 as a number.
             if (not isinstance(value, (str, int, float)) or '\0' in str(value)
                     or isinstance(value, bool) != is_switch):
                 raise ConfigError(f'{name} is {value!r}, needed '
@@ -69,12 +69,12 @@ class InputOptions:
         return cls(**options)
 
     def inverted(self, trajectory: Trajectory) -> Trajectory:
-        """Return the poses of the sensor in the world, whichever of both was read."""
+        """Return the poses of the sensor in the world: inverted if ``invert``."""
         return (replace(trajectory, poses=se3.inverse(trajectory.poses)) if self.invert
                 else trajectory)
 
-    def of_files(self) -> dict[str, Any]:
-        """Return the settings that are given and mean nothing but for a file."""
+    def file_options(self) -> dict[str, Any]:
+        """Return the given options that apply to files only."""
         return {name: value for name, value in vars(self).items()
                 if name not in ('frame', 'invert') and value is not None}
 
@@ -84,25 +84,25 @@ def load_inputs(
     bags: Sequence[str | os.PathLike[str]] = (),
     progress: Progress | None = None,
 ) -> dict[str, Trajectory]:
-    """Read several trajectories, those of bags in one pass.
+    """Read several trajectories, those from bags in one pass.
 
-    ``inputs`` has for each sensor its input, a file, or a topic or ``tf:PARENT.CHILD`` of the
-    ``bags``, and its options. The name of the sensor is that of its frame where the input names
-    none. ``progress`` is called while bags are read.
+    ``inputs`` maps a sensor name to an input and its options. An input is a file, or a topic or
+    ``tf:PARENT.CHILD`` of the ``bags``. The sensor name is the frame name if the input has none.
+    ``progress`` is called while bags are read.
 
-    Raise ConfigError where two inputs are one, or an option does not fit an input; SourceError
-    where an input cannot be read.
+    Raise ConfigError if two inputs are the same, or an option does not fit an input; SourceError
+    if an input cannot be read.
     """
-    _require_different([name for name, _ in inputs.values()], topics=bool(bags))
+    _require_distinct([name for name, _ in inputs.values()], topics=bool(bags))
     from_bags = [name for name, _ in inputs.values() if bags and not Path(name).is_file()]
     for name, options in inputs.values():
-        given = options.of_files()
+        given = options.file_options()
         if name in from_bags and given:
             raise ConfigError(f'{", ".join(given)} is for files; {name} is read from a bag, whose '
                               'messages carry their format and time')
     tracks = {}
     if from_bags:
-        # What bags need loads where a bag is read, and only there.
+        # Imported here, because only bags need it.
         from trajectory_calibration.sources.bags import open_bags
         with open_bags(bags) as reader:
             tracks = reader.read(from_bags, progress)
@@ -112,23 +112,23 @@ def load_inputs(
 
 
 def load_file(name: str, sensor: str, options: InputOptions) -> tuple[Trajectory, str]:
-    """Return the trajectory of a file, and how it was read: its columns, or its format.
+    """Return the trajectory of a file, and the columns or format that were used.
 
     Raises as ``load_inputs``.
     """
     if names_frames(name):
         raise ConfigError(f'{name} names frames of a bag; give the bag with --bag')
     trajectory, read_as = FileSource(
-        name, sensor_frame=options.frame or sensor, **options.of_files()).load_described()
+        name, sensor_frame=options.frame or sensor, **options.file_options()).load_described()
     return options.inverted(trajectory), read_as
 
 
-def _require_different(names: Sequence[str], *, topics: bool) -> None:
-    """Raise ConfigError where two inputs are one."""
+def _require_distinct(names: Sequence[str], *, topics: bool) -> None:
+    """Raise ConfigError if two inputs are the same."""
     for other, name in combinations(names, 2):
         if name == other or (topics and name.lstrip('/') == other.lstrip('/')):
             raise ConfigError(f'{name} is given twice; two sensors are needed')
-        # What is no file is no reason here: reading it says what is wrong.
+        # A missing file is reported when it is read.
         with suppress(OSError):
             if Path(name).samefile(other):
                 raise ConfigError(f'{other} and {name} are the same; two sensors are needed')

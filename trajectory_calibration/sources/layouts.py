@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the columns of a table are: told by a heading, by the user, or by the numbers.
+"""The columns of a table: from the option, from a heading, or from the numbers.
 
-The numbers tell where a quaternion is (four of them have the length one) or a rotation matrix
-(nine of them are one), but neither the order of a quaternion nor what is not in the file. What
-stays ambiguous is an error that says how many columns there are and which option settles it.
+The numbers show which columns are a quaternion (norm 1) or a rotation matrix (orthonormal), but
+not the order of a quaternion. An ambiguous table raises an error that gives the number of columns
+and the option to set.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from trajectory_calibration.errors import ConfigError, counted, SourceError
 from trajectory_calibration.geometry.se3 import FloatArray
 
 QUATERNION_ORDERS = ('xyzw', 'wxyz')
-# Unit of time -> digits after the point of a second.
+# Unit of time -> decimals of a second.
 TIME_UNITS = {'s': 0, 'ms': 3, 'us': 6, 'ns': 9}
 FROM_NUMBERS = 'from the numbers'
 
 _TOLERANCE = 1e-2
-# Share of the rows that must fit; the others are what a SLAM writes while it is lost.
-_MOST = 0.7
-# What rises faster is no count of seconds.
+# Fraction of the rows that must fit; a SLAM that is lost writes others.
+_MIN_FRACTION = 0.7
+# A column of whole seconds does not increase faster than this per row.
 _LONGEST_STEP_S = 100.0
 _TUM = 't,x,y,z,qx,qy,qz,qw'
 POSITION, QUATERNION = ('x', 'y', 'z'), ('qx', 'qy', 'qz', 'qw')
@@ -40,15 +40,15 @@ _DEGREES, _RADIANS = (
 
 @dataclass(frozen=True)
 class Layout:
-    """Which column holds what.
+    """The meaning of the columns of a table.
 
     Attributes
     ----------
-    source : how this is known, for messages.
-    columns : where the file has what: ``t``, or ``sec`` and ``nsec``, or in their place the
-        ``number`` of the frame; x, y, z; qx, qy, qz, qw, or r11 to r33, or roll, pitch, yaw, or
-        the same in degrees, roll_deg, or a rotation vector, rx, ry, rz.
-    unit : of the time, 's', 'ms', 'us' or 'ns'; None where its size must tell.
+    source : where the layout comes from, for messages.
+    columns : name -> column index. Time: ``t``, or ``sec`` and ``nsec``, or else the frame
+        ``number``. Position: x, y, z. Orientation: qx, qy, qz, qw, or r11 to r33, or roll, pitch,
+        yaw (or roll_deg, ... in degrees), or a rotation vector rx, ry, rz.
+    unit : of the time, 's', 'ms', 'us' or 'ns'; None to detect it from the magnitude.
 
     """
 
@@ -58,27 +58,27 @@ class Layout:
 
     @property
     def time(self) -> int | None:
-        """Return the column of the time, or of its whole seconds."""
+        """Return the column of the time, or of the whole seconds, None without a time."""
         return self.columns.get('t', self.columns.get('sec'))
 
     @property
     def pose_columns(self) -> list[int]:
-        """Return all columns of the pose: the position, then the orientation."""
+        """Return the columns of the position, then of the orientation."""
         return self.at(POSITION) + (
             self.at(QUATERNION) or self.at(ROTATION) or self.at(_ANGLES) or self.at(_DEGREES)
             or self.at(ROTATION_VECTOR))
 
     def at(self, names: Sequence[str]) -> list[int]:
-        """Return the columns of such names, none unless there are all of them."""
+        """Return the columns of the names, [] if one is missing."""
         return [self.columns[name] for name in names] if self.columns.keys() >= {*names} else []
 
     def names(self) -> str:
-        """Return the layout as ``--columns`` takes it."""
+        """Return the layout in the syntax of ``--columns``."""
         names = {k: '-' if name == 'number' else name for name, k in self.columns.items()}
         return ','.join(names.get(k, '-') for k in range(max(names) + 1))
 
     def describe(self) -> str:
-        """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and how another order is read where it matters."""
+        """Return 't,x,y,z,qx,qy,qz,qw (TUM)', and the assumed quaternion order if it is one."""
         text = f'{self.names()} ({self.source})'
         if self.source in ('TUM', 'EuRoC', FROM_NUMBERS) and 'qw' in self.columns:
             order = 'wxyz' if self.columns['qw'] < self.columns['qx'] else 'xyzw'
@@ -86,7 +86,7 @@ class Layout:
         return text
 
     def ordered(self, order: str | None) -> Layout:
-        """Return the layout with the quaternion in another order than it says."""
+        """Return the layout with the quaternion in the given order, unchanged for None."""
         if order is None or 'qw' not in self.columns:
             return self
         first = min(self.at(QUATERNION))
@@ -97,13 +97,13 @@ class Layout:
 TUM = Layout('TUM', {name: k for k, name in enumerate(_TUM.split(','))})
 EUROC = replace(TUM.ordered('wxyz'), source='EuRoC', unit='ns')
 KITTI = Layout('KITTI', {name: k for k, name in enumerate(_MATRIX)})
-_USUAL = {8: TUM, 12: KITTI}
+_BY_WIDTH = {8: TUM, 12: KITTI}
 
 
 def from_names(text: str, width: int) -> Layout:
-    """Return the layout that the user gave: names separated by commas, ``-`` skips a column.
+    """Return the layout from the ``--columns`` option: comma-separated, ``-`` skips a column.
 
-    Raise ConfigError where a name is unknown, stands twice, or the pose is not complete.
+    Raise ConfigError if a name is unknown or repeated, or the pose is incomplete.
     """
     names = [name.strip() for name in text.split(',')]
     if len(names) > width:
@@ -128,9 +128,9 @@ def from_names(text: str, width: int) -> Layout:
 
 
 def from_headings(headings: Sequence[str], width: int) -> Layout | None:
-    """Return the layout that a heading names, None where none of them does.
+    """Return the layout from the last heading that names a pose, None if no heading does.
 
-    Raise SourceError where a heading names two columns for one thing, or angles without their
+    Raise SourceError if a heading names two columns for the same quantity, or angles without a
     unit.
     """
     for heading in reversed(headings):
@@ -152,25 +152,25 @@ def from_headings(headings: Sequence[str], width: int) -> Layout | None:
                 found[times[0]] += found.pop(role)
         roles, doubled = {}, []
         for role, named in found.items():
-            # The time of a message is that of its header, not that of its reception.
+            # The header stamp is the measurement time, the receive time is not.
             columns = [k for k in named if 'header' in names[k]] or named
             doubled += [columns] if len(columns) > 1 else []
             roles[role] = columns[0]
-        said = Layout('', roles).names()
+        option = Layout('', roles).names()
         if doubled:
             raise SourceError(
                 f'the heading names {len(doubled[0])} columns for {_role(names[doubled[0][0]])}: '
                 f'{", ".join(names[k].strip() for k in doubled[0])}; say which one counts, for '
-                f'instance --columns {said} (- skips a column)')
+                f'instance --columns {option} (- skips a column)')
         layout = _layout(roles, 'from the heading')
         if layout is not None and 'roll' in layout.columns and 'roll' in roles:
-            in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', said)
+            in_degrees = re.sub(r'(roll|pitch|yaw)', r'\1_deg', option)
             raise SourceError('the heading names roll, pitch and yaw without their unit; say '
-                              f'--columns {said} (radians) or --columns {in_degrees}')
+                              f'--columns {option} (radians) or --columns {in_degrees}')
         if layout is not None and 'rx' in layout.columns:
-            in_angles = said.replace('rx', 'roll').replace('ry', 'pitch').replace('rz', 'yaw')
-            raise SourceError(f'the heading names rx, ry and rz: say --columns {said} (a rotation '
-                              f'vector, radians) or --columns {in_angles}')
+            in_angles = option.replace('rx', 'roll').replace('ry', 'pitch').replace('rz', 'yaw')
+            raise SourceError(f'the heading names rx, ry and rz: say --columns {option} (a '
+                              f'rotation vector, radians) or --columns {in_angles}')
         return layout
     return None
 
@@ -180,25 +180,25 @@ def from_numbers(
 ) -> Layout:
     """Return the only layout that fits the numbers.
 
-    ``sample`` are (N, C) rows of the file, NaN for words. ``by_commas`` tells whether commas
-    separate the columns, ``timed`` whether the times come from another file, ``order`` is that of
-    the quaternion, where the user says so.
+    ``sample`` are (N, C) rows of the file, NaN for words; ``by_commas``: whether commas separate
+    the columns; ``timed``: whether the times come from another file; ``order``: of the
+    quaternion, if the user gives it.
 
-    Raise SourceError where none fits, several do, or the order of the quaternion is open.
+    Raise SourceError if no layout fits, several do, or the quaternion order is ambiguous.
     """
     width = sample.shape[1]
     seen = f'{counted(width, "column")} and no heading that names a pose'
-    # Between the numbers there may be columns of words, such as names of frames.
+    # Columns of words, such as frame names, may separate the numeric columns.
     numeric = np.flatnonzero(np.isfinite(sample).any(axis=0))
     if not len(numeric) or numeric[0]:
         numeric = np.arange(width)
     fitting = [layout for layout in _candidates(numeric.tolist(), timed=timed)
                if _fits(layout, sample)]
-    # Times from another file stand for those in this one, and the other way round.
+    # Prefer layouts without a time if another file has the times, and with a time otherwise.
     fitting = [layout for layout in fitting if (layout.time is None) == timed] or fitting
-    if not fitting and not by_commas and width in _USUAL:
-        # What is wrong with a row of it is a better message than that nothing fits.
-        return _USUAL[width].ordered(order)
+    if not fitting and not by_commas and width in _BY_WIDTH:
+        # The error about a row of this layout is clearer than "no layout fits".
+        return _BY_WIDTH[width].ordered(order)
     if not fitting:
         hint = ': column 1 is no number (a date? Then it is t)' if np.isnan(
             sample[:, 0]).all() else _HINTS.get(width, '')
@@ -212,8 +212,8 @@ def from_numbers(
     quaternion = layout.at(QUATERNION)
     if order is not None or not quaternion:
         return layout.ordered(order)
-    if by_commas and layout.at(('t', 'x')) == [0, 1] and _nanoseconds(sample):
-        # The layout of EuRoC, the only one with commas that its numbers tell.
+    if by_commas and layout.at(('t', 'x')) == [0, 1] and _is_nanoseconds(sample):
+        # EuRoC is the only comma-separated layout that can be detected from its numbers.
         return EUROC
     if min(quaternion) < min(layout.at(POSITION)):
         raise SourceError(
@@ -227,7 +227,7 @@ def from_numbers(
     return layout
 
 
-# What tables of so many columns may be that hold no known layout.
+# Number of columns -> hint for a table without a known layout.
 _HINTS = {
     3: ': positions without an orientation cannot be calibrated',
     4: ': positions without an orientation cannot be calibrated',
@@ -238,23 +238,23 @@ _HINTS = {
 }
 
 
-def _nanoseconds(sample: FloatArray) -> bool:
-    """Tell whether the first column counts nanoseconds."""
+def _is_nanoseconds(sample: FloatArray) -> bool:
+    """Return whether the first column is a time in nanoseconds."""
     time = sample[:, 0]
     if not (time == np.rint(time)).all():
         return False
     step = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
-    # Numbers of frames rise by less.
+    # Frame numbers increase by less.
     return bool(time[0] >= 1e17 or step >= 1e5)
 
 
 def _candidates(columns: list[int], *, timed: bool) -> list[Layout]:
-    """Return all layouts of some columns."""
+    """Return all layouts that are possible for the numeric columns."""
     found = []
     for start in ((), ('t',), ('sec', 'nsec'),
                   ('number',), ('number', 't'), ('number', 'sec', 'nsec')):
         rest = len(columns) - len(start)
-        # With times from elsewhere, what looks like a time may be the number of the frame.
+        # If another file has the times, the first column may be the frame number.
         has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
         usual = rest == 7 or (rest > 7 and has_time)
         for pose, fits in ((POSITION + QUATERNION, usual),
@@ -272,12 +272,12 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
     rows = sample[np.isfinite(used).all(axis=1) & (used != 0).any(axis=1)]
     if len(rows) < 1:
         return False
-    if 'number' in layout.columns and not _counts(rows[:, layout.columns['number']]):
+    if 'number' in layout.columns and not _are_frame_numbers(rows[:, layout.columns['number']]):
         return False
     if layout.time is not None:
         time = rows[:, layout.time]
         backwards = int(np.count_nonzero(np.diff(time) < 0))
-        if np.isnan(time).any() or backwards > (1 - _MOST) * len(time) or (
+        if np.isnan(time).any() or backwards > (1 - _MIN_FRACTION) * len(time) or (
                 len(time) > 1 and time.max() == time.min()):
             return False
     if 'nsec' in layout.columns:
@@ -289,25 +289,25 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
     with np.errstate(over='ignore', invalid='ignore'):
         if layout.at(QUATERNION):
             norm = np.linalg.norm(rows[:, layout.at(QUATERNION)], axis=1)
-            good = np.abs(norm - 1.0) <= _TOLERANCE
+            fits_rows = np.abs(norm - 1.0) <= _TOLERANCE
         else:
             R = rows[:, layout.at(ROTATION)].reshape(-1, 3, 3)
-            off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
-            good = off <= _TOLERANCE
+            residual = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            fits_rows = residual <= _TOLERANCE
             last = [max(layout.at(POSITION)) + k for k in range(1, 5)]
             if last[-1] < sample.shape[1]:
-                good &= (rows[:, last] == [0, 0, 0, 1]).all(axis=1)
-    return bool(good.mean() >= _MOST)
+                fits_rows &= (rows[:, last] == [0, 0, 0, 1]).all(axis=1)
+    return bool(fits_rows.mean() >= _MIN_FRACTION)
 
 
-def _counts(values: FloatArray) -> bool:
-    """Tell whether values are numbers of frames: whole, rising, never far from zero."""
+def _are_frame_numbers(values: FloatArray) -> bool:
+    """Return whether values are frame numbers: whole, increasing, between 0 and 1e8."""
     whole = np.isfinite(values).all() and (values == np.rint(values)).all()
     return bool(whole and (np.diff(values) > 0).all() and values[0] >= 0 and values[-1] < 1e8)
 
 
 def _layout(roles: dict[str, int], source: str) -> Layout | None:
-    """Return the layout of named columns; None where they make no pose."""
+    """Return the layout of named columns, None if they are no complete pose."""
     def first_complete(*choices: Sequence[str]) -> Sequence[str]:
         return next((names for names in choices if roles.keys() >= {*names}), ())
 
@@ -327,7 +327,7 @@ def _layout(roles: dict[str, int], source: str) -> Layout | None:
     return Layout(source, columns | {'number': roles['number']} if 'number' in roles else columns)
 
 
-# Words in the name of a column that belong to something else than the pose and its time.
+# Words in a column name for a quantity other than the pose and its time.
 _FOREIGN = {'acc', 'accel', 'acceleration', 'angular', 'b', 'ba', 'bg', 'bias', 'cov',
             'covariance', 'gyro', 'linear', 'omega', 'sigma', 'std', 'twist', 'v', 'vel',
             'velocity'}
@@ -342,7 +342,7 @@ _JOINED = re.compile(r'(p|t|pos|position|trans|translation|q|quat|quaternion|ori
 
 
 def _role(name: str) -> str | None:
-    """Return what the name of a column means: t, t_ns, sec, x, qw, r11, roll, number; or None."""
+    """Return the quantity of a column name: t, t_ns, sec, x, qw, r11, roll, number; or None."""
     text = name.strip().strip('"\'#%').lower()
     unit = (re.findall(r'[\[(]\s*(\w+)\s*[\])]', text) or [''])[-1]
     words = [word for word in re.split(r'[\s._/:-]+', re.sub(r'[\[(].*', '', text)) if word]

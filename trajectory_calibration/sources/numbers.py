@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Decimal numbers out of the lines of a table, as ``float`` reads them; times without rounding."""
+"""Parse the numbers in the lines of a table; times exactly, without rounding to float."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from trajectory_calibration.geometry.se3 import FloatArray
 
 _INT64_MAX = 2**63 - 1
-# What tells a date, or a time of day, from a number: 10:15.
+# A date or a time of day, unlike a number, has this: 10:15.
 _CLOCK = re.compile(r'\d:\d\d')
-# What writers of tables put where there is no number.
+# Spellings of a missing number.
 _MISSING = {'', 'none', 'null', 'na', 'n/a', 'nat', 'nan(ind)', '-nan(ind)'}
 
 
 class NotANumberError(ValueError):
-    """A field is no number, or a time that does not fit: ``args`` are row, column, reason."""
+    """A field is no number, or a time is out of range: ``args`` are row, column, reason."""
 
 
 class Numbers(NamedTuple):
@@ -31,9 +31,9 @@ class Numbers(NamedTuple):
     Attributes
     ----------
     values : (N, K) numbers of K columns.
-    stamps_ns : (N,) times of one more column, 0 where not finite.
-    places : (N,) digits of the times after the point, less the exponent.
-    finite, exact : (N,) whether a time is a number, and one of whole nanoseconds.
+    stamps_ns : (N,) times in nanoseconds, 0 if not finite.
+    places : (N,) decimals of the times as written, minus the exponent.
+    finite, exact : (N,) whether a time is a number, and a whole number of nanoseconds.
 
     """
 
@@ -48,13 +48,13 @@ def read_columns(
     lines: list[str], separator: str | None, width: int, columns: Sequence[int],
     time_column: int | None = None, decimals: int = 0,
 ) -> Numbers:
-    """Return the numbers of some columns, and the exact times of another one.
+    """Return the numbers of some columns, and the exact times of another column.
 
-    ``lines`` are rows of ``width`` fields between the ``separator``, a comma, or None for blanks.
-    The unit of the time is 10^-decimals s.
+    Each line has ``width`` fields; the ``separator`` is a comma, or None for white space. The
+    unit of the time is 10^-decimals s.
 
-    Raise NotANumberError where a field is no number, or a time is out of range; ValueError where
-    a line has more fields or fewer.
+    Raise NotANumberError if a field is no number or a time is out of range; ValueError if a line
+    has another number of fields.
     """
     kinds = ['U1'] * width
     for column in columns:
@@ -82,7 +82,7 @@ def read_columns(
 def with_times(
     values: FloatArray, words: list[str], column: int | None, decimals: int,
 ) -> Numbers:
-    """Return (N, K) numbers and the times that (N,) words of a column say; none without one."""
+    """Return (N, K) values with the times parsed from (N,) words; no times if column is None."""
     if column is None:
         nothing = np.zeros(0, dtype=np.int64)
         return Numbers(values, nothing, nothing, nothing > 0, nothing > 0)
@@ -90,14 +90,14 @@ def with_times(
 
 
 def _without_missing(lines: list[str], separator: str | None) -> list[str]:
-    """Return the lines with NaN in fields that are empty, or say that there is no number."""
+    """Return the lines with NaN in empty fields and in place of the ``_MISSING`` words."""
     return [(separator or ' ').join(
         'nan' if word.strip().lower() in _MISSING else word for word in line.split(separator))
         for line in lines]
 
 
 def is_number(word: str) -> bool:
-    """Tell whether a word is a number as other languages write it too."""
+    """Return whether a word is a number; unlike ``float``, without underscores and non-ASCII."""
     try:
         float(word)
     except ValueError:
@@ -106,7 +106,10 @@ def is_number(word: str) -> bool:
 
 
 def read_dates(words: list[str]) -> NDArray[np.datetime64] | None:
-    """Return (N,) dates, those without a zone in UTC, NaT where one is missing; None of others."""
+    """Return (N,) dates in UTC, NaT for a missing one; None if a word is no date.
+
+    Dates without a time zone are taken as UTC.
+    """
     dates = ['NaT' if word.strip().lower() in {'nan', *_MISSING} else
              re.sub(r'\s*(Z|\+00:?00)$', '', word.strip()) for word in words]
     if not any(map(is_number, dates)):
@@ -117,9 +120,12 @@ def read_dates(words: list[str]) -> NDArray[np.datetime64] | None:
 
 def _times(words: list[str], exponent: int, column: int) -> tuple[
         NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return numbers times 10^exponent, rounded half to even, and what ``Numbers`` has of them."""
+    """Return (N,) words times 10^exponent, rounded half to even; places, finite, exact.
+
+    The results are those of ``Numbers``.
+    """
     finite, exact = np.ones((2, len(words)), dtype=bool)
-    # Most writers give all of them the same digits before the point and behind it.
+    # Fast path: usually all times have the same number of digits before and after the point.
     digits = np.array(words).view(np.int32).reshape(len(words), -1) - ord('0')
     point = digits[0] == ord('.') - ord('0')
     whole = digits[:, ~point]
@@ -140,7 +146,7 @@ def _times(words: list[str], exponent: int, column: int) -> tuple[
         if not is_number(word):
             raise NotANumberError(row, column, 'is no time: seconds (since 1970), or a whole date'
                                   if _CLOCK.search(word) else 'is no number')
-        # Not finite, or an exponent that no decimal has.
+        # The exception means: not finite, or an exponent beyond the range of Decimal.
         finite[row] = False
         with suppress(ArithmeticError, ValueError):
             number = Decimal(word.strip()).scaleb(exponent)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that are of the same time: one run recorded twice, or two runs."""
+"""Bags that overlap in time: one run recorded twice, or two runs."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from trajectory_calibration.errors import counted, SourceError
 from trajectory_calibration.sources import cdr
 from trajectory_calibration.sources.topics import TopicTrack
 
-# Two bags that have fewer messages in the time of both follow each other.
+# With fewer messages in the common time span, two bags are consecutive.
 _FEWEST_SHARED = 5
 
-# Where more than this share of them are the same, the bags are of one run.
-_MOSTLY = 0.5
+# If at least this fraction of them is equal, both bags are of one run.
+_MIN_EQUAL = 0.5
 
 
 def without_repeats(parts: Sequence[tuple[str, TopicTrack]]) -> list[TopicTrack]:
-    """Return what each bag holds of one topic, without the messages that another one holds, too.
+    """Return the tracks of one topic without messages that an earlier bag contains, too.
 
-    ``parts`` are what stands in one file each, with the name of its bag. Raise SourceError where
-    two bags are of the same time, and their poses are not the same.
+    ``parts`` are bag name and track of each file. Raise SourceError if two bags overlap in time
+    and their poses differ.
     """
     done: list[tuple[str, TopicTrack]] = []
     for bag, recorded in parts:
         track = recorded
         for other, before in done:
-            # The files of one bag follow each other; of Paths only the last one counts.
+            # The files of one bag are consecutive; of Paths only the last one is used.
             if other != bag and track.msgtype != cdr.PATH:
                 track = _without(track, before, bag, other)
         done.append((bag, track))
@@ -45,19 +45,19 @@ def _without(track: TopicTrack, before: TopicTrack, bag: str, other: str) -> Top
     end_ns = min(track.stamps_ns.max(), before.stamps_ns.max())
     shared = (track.stamps_ns >= start_ns) & (track.stamps_ns <= end_ns)
     count = int(np.count_nonzero(shared))
-    # The last messages of one bag may come late into the next.
+    # The first messages of a bag may be late ones of the previous bag.
     if end_ns <= start_ns or count < _FEWEST_SHARED:
         return track
-    same = shared & np.isin(_rows(track), _rows(before))
-    if np.count_nonzero(same) < _MOSTLY * count:
+    equal = shared & np.isin(_rows(track), _rows(before))
+    if np.count_nonzero(equal) < _MIN_EQUAL * count:
         raise SourceError(
             f'{track.topic}: {other} and {bag} overlap by {(end_ns - start_ns) * 1e-9:.1f} s with '
             'different poses: two runs? Give bags that follow each other, or calibrate each alone')
-    note = f'{bag} repeats {counted(int(same.sum()), "message")} of {other}: used once'
-    return replace(track.only(~same), notes=(*track.notes, note))
+    note = f'{bag} repeats {counted(int(equal.sum()), "message")} of {other}: used once'
+    return replace(track.only(~equal), notes=(*track.notes, note))
 
 
 def _rows(track: TopicTrack) -> NDArray[np.void]:
-    """Return the bytes of stamp and pose of each message."""
+    """Return (N,) the bytes of stamp and pose of each message, for comparison."""
     rows = np.column_stack([track.stamps_ns.view(np.float64), track.poses])
     return rows.view(f'V{rows.itemsize * rows.shape[1]}').ravel()

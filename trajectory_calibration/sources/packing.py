@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Compressed data: the formats that bags use. Their packages load where they are met."""
+"""Decompression of the formats that bags use. Packages are imported when they are needed."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from trajectory_calibration.errors import require
-from trajectory_calibration.sources.channels import border
+from trajectory_calibration.sources.channels import errors_noted
 
 ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'
 _BLOCK = 1 << 22
 
 
 def unpack(data: bytes, compression: str) -> bytes:
-    """Return the content of compressed data; of zstd, of one frame, as far as it goes.
+    """Return the content of compressed data; of a truncated zstd frame, its first part.
 
-    Raise MissingPackageError where the package that this needs is not installed, ValueError where
-    the format is not known.
+    Raise MissingPackageError if the required package is not installed, ValueError for an unknown
+    format.
     """
     if compression in ('', 'none'):
         return data
@@ -35,9 +35,9 @@ def unpack(data: bytes, compression: str) -> bytes:
 
 
 def unpack_zstd_file(packed: Path, target: Path) -> str:
-    """Write the content of a .zstd file; return why that ended too soon, empty if it did not."""
+    """Write the content of a .zstd file; return the reason if it is incomplete, else ''."""
     decompressor, reasons = _zstd(), list[str]()
-    with packed.open('rb') as source, target.open('wb') as sink, border(reasons.append):
+    with packed.open('rb') as source, target.open('wb') as sink, errors_noted(reasons.append):
         while block := source.read(_BLOCK):
             sink.write(decompressor.decompress(block))
         if not getattr(decompressor, 'eof', True):
@@ -46,12 +46,12 @@ def unpack_zstd_file(packed: Path, target: Path) -> str:
 
 
 def _zstd() -> Any:
-    """Return what unpacks one frame of zstd, piece by piece."""
-    # The first is in Python from 3.14 on.
+    """Return a streaming decompressor of one zstd frame."""
+    # The first is part of Python from 3.14 on.
     for name in ('compression.zstd', 'backports.zstd', 'zstandard'):
         with suppress(ModuleNotFoundError):
             decompressor = import_module(name).ZstdDecompressor()
-            # That of zstandard, which Ubuntu has, takes no pieces.
+            # In zstandard, which Ubuntu has, the streaming one is a separate object.
             of_pieces = getattr(decompressor, 'decompressobj', None)
             return of_pieces() if of_pieces else decompressor
     return require('backports.zstd')

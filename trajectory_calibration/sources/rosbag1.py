@@ -30,7 +30,7 @@ class Ros1File(Storage):
         super().__init__()
 
     def _index(self) -> Counter[int] | None:
-        """Read connections and counts from the end of the bag, if they are there."""
+        """Read connections and counts from the index at the end of the bag, if it has one."""
         _, head, _ = next(_records(self._data, len(_MAGIC)))
         connections, start = (_uint(head[name]) for name in (b'conn_count', b'index_pos'))
         if not start:
@@ -39,7 +39,7 @@ class Ros1File(Storage):
         counts: Counter[int] = Counter()
         for operation, fields, body in _records(self._data, start):
             if operation == _CONNECTION:
-                self._note(fields, body)
+                self._declare_connection(fields, body)
             elif operation == _CHUNK_INFO:
                 for connection, count in struct.iter_unpack('<II', body):
                     counts[connection] += count
@@ -47,8 +47,8 @@ class Ros1File(Storage):
             raise ValueError(f'{len(self._declared)} of {connections} connections')
         return counts
 
-    def _note(self, fields: dict[bytes, bytes], body: bytes) -> None:
-        """Keep a connection."""
+    def _declare_connection(self, fields: dict[bytes, bytes], body: bytes) -> None:
+        """Declare a connection as a channel."""
         msgtype = plain_type(_fields(body)[b'type'].decode())
         self._declare(_uint(fields[b'conn']), Channel(
             fields[b'topic'].decode(), msgtype, 0, 'ros1'))
@@ -59,14 +59,14 @@ class Ros1File(Storage):
     def _messages(
         self, data: bytes | mmap.mmap, offset: int,
     ) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the messages from an offset on and those of the chunks, up to a damaged record."""
+        """Yield the messages, also those in chunks, from an offset up to a damaged record."""
         with self.noting(f'it is cut off or damaged ({{}}); {_REINDEX}'):
             for operation, fields, body in _records(data, offset):
                 if operation == _CHUNK:
-                    yield from self._messages(self._unpacked(fields, body), 0)
+                    yield from self._messages(self._chunk_records(fields, body), 0)
                 elif operation == _CONNECTION:
                     with self.noting('a connection is damaged ({})'):
-                        self._note(fields, body)
+                        self._declare_connection(fields, body)
                 elif operation == _MESSAGE:
                     key, time = _uint(fields.get(b'conn', b'')), fields.get(b'time', b'')
                     if key not in self._wanted or len(time) != 8:
@@ -75,8 +75,8 @@ class Ros1File(Storage):
                         sec, nanosec = struct.unpack('<II', time)
                         yield key, sec * 1_000_000_000 + nanosec, body
 
-    def _unpacked(self, fields: dict[bytes, bytes], body: bytes) -> bytes:
-        """Return the records of a chunk; none where it is damaged."""
+    def _chunk_records(self, fields: dict[bytes, bytes], body: bytes) -> bytes:
+        """Return the records of a chunk; none if it cannot be decompressed."""
         size, chunk = 0, b''
         with self.noting('a chunk is damaged ({})'):
             size = _uint(fields[b'size'])
@@ -105,7 +105,7 @@ def _records(
 
 
 def _fields(header: bytes) -> dict[bytes, bytes]:
-    """Return the fields of a header, each a length and ``name=value``."""
+    """Return the fields of a record header, each stored as a length and ``name=value``."""
     fields: dict[bytes, bytes] = {}
     offset = 0
     while offset < len(header):

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A sqlite3 file of rosbag2, read row by row in the order in which the rows were written."""
+"""A sqlite3 file of rosbag2, read by ascending row id, the order of writing."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ import sqlite3
 
 from trajectory_calibration.sources.channels import Channel, plain_type, Storage
 
-# Few enough rows for the cache.
+# Rows per fetch: small enough for the CPU cache.
 _BLOCK = 256
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """Open a file that another may be writing, or that is cut off."""
+    """Open a file read-only, also if it is truncated or still being written."""
     connection = sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro&immutable=1', uri=True)
-    # Without it, sqlite refuses a file that is shorter than its header says. The file is open
-    # read-only: nothing is written.
+    # Without it, sqlite rejects a file that is shorter than its header states. The connection is
+    # read-only, so nothing is written.
     connection.execute('PRAGMA writable_schema = ON')
     connection.execute('PRAGMA mmap_size = 2147483648')
     return connection
 
 
 class SqliteFile(Storage):
-    """An open sqlite3 file; ``Storage`` says what it offers.
+    """An open sqlite3 file.
 
-    The counts of its channels are those of its rows; zero where they were not to be counted.
+    The message counts are row counts, or zero without ``count``.
     """
 
     index_damage = '{}'
@@ -37,18 +37,18 @@ class SqliteFile(Storage):
     def __init__(self, connection: sqlite3.Connection, *, count: bool) -> None:
         self._connection, self._count = connection, count
         super().__init__()
-        # A row may be lost without the count of the rows showing it.
+        # A lost row may be missing from the row count as well.
         self.counted = False
 
     def _index(self) -> Mapping[int, int]:
-        """Return the numbers of the rows."""
+        """Declare the topics; return the number of rows of each."""
         self._declare_topics()
         if not self._count:
             return {}
         counts: Counter[int] = Counter(dict(self._connection.execute(
             'SELECT topic_id, COUNT(*) FROM messages NOT INDEXED GROUP BY topic_id')))
         with self.noting():
-            # The index of the times, where there is one, is a second list of all rows.
+            # The index on the timestamp, if it exists, is a second list of all rows.
             ((indexed,),) = self._connection.execute('SELECT COUNT(*) FROM messages')
             missing = indexed - sum(counts.values())
             if missing > 0:
@@ -63,18 +63,18 @@ class SqliteFile(Storage):
             self._declare(key, Channel(str(name), plain_type(str(msgtype)), 0, str(encoding)))
 
     def _read(self) -> Iterator[tuple[int, int, bytes]]:
-        """Step over damaged pages by ever longer strides."""
+        """Yield the messages; skip damaged pages with increasing strides."""
         self._declare_topics()
-        wanted = json.dumps([key for key, asked in self._wanted.items() if asked])
+        wanted = json.dumps([key for key, wanted in self._wanted.items() if wanted])
         after, stride, size = 0, 1, _BLOCK
-        # Behind so many rows of which none can be read, there are none left.
+        # After this many unreadable row ids, no readable row follows.
         while stride < 2**32:
             try:
                 cursor = self._connection.execute(
                     'SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? AND topic_id '
                     'IN (SELECT value FROM json_each(?)) ORDER BY id', (after, wanted))
                 while rows := cursor.fetchmany(size):
-                    # A damaged page may give any number for a row: never go back.
+                    # A damaged page may contain any row id: never go back.
                     after, stride = max(after, rows[-1][0]), 1
                     for _, key, time, message in rows:
                         if type(time) is int and type(message) is bytes:
@@ -85,7 +85,7 @@ class SqliteFile(Storage):
                 self.note_damage(str(error))
             else:
                 return
-            # A block is lost with its first damaged row: from here on one by one.
+            # A damaged row makes its whole block unreadable: continue row by row.
             if size > 1:
                 size = 1
             else:

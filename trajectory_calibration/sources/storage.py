@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The files of a bag: where they lie, what metadata.yaml says of them, and who reads them."""
+"""The files of a bag: their paths, metadata.yaml, and the reader of each."""
 
 from __future__ import annotations
 
@@ -14,7 +14,13 @@ import re
 from tempfile import TemporaryDirectory
 
 from trajectory_calibration.errors import counted, SourceError
-from trajectory_calibration.sources.channels import Batch, border, Channel, Storage, Unreadable
+from trajectory_calibration.sources.channels import (
+    Batch,
+    Channel,
+    errors_noted,
+    Storage,
+    Unreadable,
+)
 from trajectory_calibration.sources.packing import unpack, unpack_zstd_file, ZSTD_MAGIC
 from trajectory_calibration.sources.text import refuse_pointer
 
@@ -25,14 +31,15 @@ _SUFFIXES = (*_STORAGE_SUFFIXES, '.bag')
 
 @dataclass(eq=False)
 class Bag:
-    """A bag as it lies on disk.
+    """A bag on disk.
 
     Attributes
     ----------
-    path : what the user named, a file or a folder.
-    files : the storage files, once they are open.
-    declared : messages of each topic according to metadata.yaml; empty without it.
-    notes : what is wrong with the folder.
+    path : file or folder as given by the user.
+    paths : the storage files.
+    files : path -> open storage file, after ``open``.
+    declared : message count of each topic in metadata.yaml, empty without the file.
+    notes : damage of the folder.
 
     """
 
@@ -46,20 +53,20 @@ class Bag:
         self.files = {path: _storage(path, stack, count=not self.declared) for path in self.paths}
 
     def channels(self) -> list[Channel]:
-        """Return the channels of the files, with the numbers of messages that are declared."""
+        """Return the channels of the files, with the counts of metadata.yaml if there are any."""
         found = [channel for storage in self.files.values() for channel in storage.channels]
         declared = dict(self.declared)
         return [channel._replace(messages=declared.pop(channel.topic, 0))
                 for channel in found] if declared else found
 
     def all_notes(self) -> list[str]:
-        """Return what is wrong with the folder and the files, as far as they have been read."""
+        """Return the damage of the folder and the files found so far."""
         return [f'{self.path}: {note}' for note in self.notes] + [
             f'{path} is damaged: {storage.damage}'
             for path, storage in self.files.items() if storage.damage]
 
     def missing(self, topic: str, read: int) -> list[str]:
-        """Say how many messages of a topic were not read."""
+        """Return a note if fewer messages of a topic were ``read`` than expected, else []."""
         expected = max(
             self.declared.get(topic, 0),
             sum(channel.messages for channel in self.channels() if channel.topic == topic))
@@ -73,9 +80,9 @@ class Bag:
 
 
 def find_bag(path: Path) -> Bag:
-    """Return the files of a bag.
+    """Return the bag at a path.
 
-    Raise SourceError for no such file or folder, or neither a bag nor part of one.
+    Raise SourceError if the path does not exist, or is neither a bag nor a file of one.
     """
     if path.is_dir():
         return _find_folder(path)
@@ -88,13 +95,13 @@ def find_bag(path: Path) -> Bag:
 
 
 def _storage(path: Path, stack: ExitStack, *, count: bool) -> Storage:
-    """Open a file of a bag; ``count`` asks for numbers of messages also where that takes time.
+    """Open a file of a bag; ``count`` requests message counts even if all rows must be counted.
 
-    Raise SourceError for a pointer of Git LFS, or where a package is missing that unpacks it.
+    Raise SourceError for a Git LFS pointer, or if a package for decompression is missing.
     """
     unreadable = Unreadable()
     try:
-        with border(unreadable.note_damage):
+        with errors_noted(unreadable.note_damage):
             content, damage = _unpacked_file(path, stack)
             storage = _opened(content, stack, count=count)
             storage.damage = damage or storage.damage
@@ -105,7 +112,7 @@ def _storage(path: Path, stack: ExitStack, *, count: bool) -> Storage:
 
 
 def _unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
-    """Return a file, or where it is compressed its content, and the damage found."""
+    """Return the path of the decompressed file, and the damage found."""
     with path.open('rb') as stream:
         beginning = stream.read(64)
     refuse_pointer(path, beginning)
@@ -119,12 +126,12 @@ def _unpacked_file(path: Path, stack: ExitStack) -> tuple[Path, str]:
 
 
 def _opened(path: Path, stack: ExitStack, *, count: bool) -> Storage:
-    # Each of them loads where such a file is read.
+    # Each reader is imported only for its files.
     if path.suffix == '.db3':
         from trajectory_calibration.sources.sqlite import connect, SqliteFile
         return SqliteFile(stack.enter_context(closing(connect(path))), count=count)
     with path.open('rb') as stream:
-        # Mapped, not read: a bag may be larger than the memory.
+        # Memory-mapped: a bag may be larger than the memory.
         data = stack.enter_context(mmap(stream.fileno(), 0, access=ACCESS_READ))
     if path.suffix == '.mcap':
         from trajectory_calibration.sources.mcap import McapFile
@@ -134,33 +141,33 @@ def _opened(path: Path, stack: ExitStack, *, count: bool) -> Storage:
 
 
 def unpacked(batch: Batch) -> Batch:
-    """Return the messages as they were before the recorder compressed each of them."""
-    # A recorder compresses all of them; a damaged one must not hide that.
+    """Return the batch with its messages decompressed, if the recorder compressed each one."""
+    # All or none are compressed; several are checked because the first may be damaged.
     if batch.channel.encoding != 'cdr' or not any(
             message.startswith(ZSTD_MAGIC) for message in batch.messages[:9]):
         return batch
     messages: list[bytes] = []
     for message in batch.messages:
-        # What is no message is counted as one that cannot be read.
-        with border(lambda _: messages.append(b'')):
+        # An empty message is counted as unreadable later.
+        with errors_noted(lambda _: messages.append(b'')):
             messages.append(
                 unpack(message, 'zstd') if message.startswith(ZSTD_MAGIC) else message)
     return batch._replace(messages=messages)
 
 
 def _storage_suffix(path: Path) -> str:
-    """Return the suffix of a file, without that of its compression."""
+    """Return the suffix of a file without the suffix of its compression."""
     return Path(path.stem).suffix if path.suffix in _PACKED_SUFFIXES else path.suffix
 
 
 def _find_folder(path: Path) -> Bag:
     present = sorted((item for item in path.iterdir()
-                      if _storage_suffix(item) in _STORAGE_SUFFIXES), key=as_counted)
+                      if _storage_suffix(item) in _STORAGE_SUFFIXES), key=natural_key)
     notes = tuple(note for item in present for note in _log_note(item))
     reasons: list[str] = []
     listed: list[str] = []
     declared: dict[str, int] = {}
-    with border(reasons.append):
+    with errors_noted(reasons.append):
         listed, declared = _metadata(path)
     if reasons and not present:
         held = (f'its metadata.yaml cannot be read ({reasons[0]}), and it holds no'
@@ -174,7 +181,7 @@ def _find_folder(path: Path) -> Bag:
         return Bag(path, present, notes=(note, *notes))
     files, missing = [], []
     for name in listed:
-        # The name of a compressed file may stand there without the suffix of its compression.
+        # metadata.yaml may list a compressed file without the suffix of its compression.
         found = [item for item in present if item.name == name or (
             item.suffix in _PACKED_SUFFIXES and item.stem == name)]
         files += found[:1]
@@ -188,7 +195,7 @@ def _find_folder(path: Path) -> Bag:
 
 
 def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
-    """Return the files and the messages of each topic that metadata.yaml lists."""
+    """Return the file names, and the message count of each topic, from metadata.yaml."""
     from ruamel.yaml import YAML
     text = (path / 'metadata.yaml').read_text(encoding='utf-8')
     metadata = YAML(typ='safe', pure=True).load(text)['rosbag2_bagfile_information']
@@ -199,14 +206,14 @@ def _metadata(path: Path) -> tuple[list[str], dict[str, int]]:
     return listed, declared
 
 
-def as_counted(path: Path | str) -> list[tuple[int, str]]:
-    """Return what sorts names as people count: bag_2 before bag_10."""
+def natural_key(path: Path | str) -> list[tuple[int, str]]:
+    """Return a sort key that orders numbers by value: bag_2 before bag_10."""
     return [(int(part), '') if part.isdigit() else (-1, part)
             for part in re.split(r'(\d+)', str(path))]
 
 
 def _log_note(path: Path) -> tuple[str, ...]:
-    """Name what a recorder that was killed left outside a sqlite3 file."""
+    """Return a note if a killed recorder left messages in a write-ahead log of sqlite3."""
     log = path.with_name(f'{path.name}-wal')
     if not log.exists() or not log.stat().st_size:
         return ()

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Poses in files that are no tables: g2o, COLMAP, nerfstudio, NumPy."""
+"""Poses in files other than text tables: g2o, COLMAP, nerfstudio, NumPy."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _COLMAP_COLUMNS = 10
 
 @dataclass(eq=False)
 class RawPoses:
-    """Poses as a file holds them, nothing left out.
+    """All poses of a file, unfiltered.
 
     Attributes
     ----------
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw; or (N, 4, 4) matrices.
-    stamps_ns : (N,), None where the file has no times.
-    numbers : (N,) numbers of frames, None where the file has none.
-    findings : what was repaired.
+    stamps_ns : (N,), None if the file has no times.
+    numbers : (N,) frame numbers, None if the file has none.
+    findings : repairs.
     kind : of the file, in words.
-    layout : of its columns, in words; empty where the format says it.
+    layout : of the columns, in words; '' if the format defines it.
 
     """
 
@@ -47,25 +47,25 @@ class RawPoses:
 
 
 def is_array(path: Path) -> bool:
-    """Tell whether a file is an array of NumPy, whatever its name."""
+    """Return whether a file is a NumPy array, by its suffix or its first bytes."""
     try:
         with path.open('rb') as file:
             return path.suffix == '.npy' or file.read(6) == b'\x93NUMPY'
     except OSError:
-        # Reading it says what is wrong.
+        # The error is reported when the file is read.
         return False
 
 
 @dataclass
 class ArrayTable(Table):
-    """A table whose numbers, (N, C), are read already."""
+    """A table of numbers, (N, C), from an array file."""
 
     array: FloatArray = field(kw_only=True)
 
     def read_numbers(
         self, columns: Sequence[int], time_column: int | None = None, decimals: int = 0,
     ) -> Numbers:
-        """Return columns as ``Table.read_numbers`` does; times as they are written shortest."""
+        """Return columns as ``Table.read_numbers`` does; times by their shortest decimals."""
         words = [] if time_column is None else self.array[:, time_column].tolist()
         return with_times(
             self.array[:, list(columns)], list(map(repr, words)), time_column, decimals)
@@ -76,11 +76,11 @@ class ArrayTable(Table):
 
 
 def read_array(path: Path) -> ArrayTable:
-    """Return the table in a file of shape (N, 4, 4), (N, 3, 4) or one row a pose."""
+    """Return the table of a file with an array (N, 4, 4), (N, 3, 4) or (N, C)."""
     try:
         array = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
     except Exception as error:
-        # NumPy raises whatever a damaged header happens to hit.
+        # A damaged header can raise any exception in NumPy.
         raise SourceError(f'{path} cannot be read as an array of numbers ({error})') from error
     if array.ndim == 3 and array.shape[1:] in ((3, 4), (4, 4)):
         array = array.reshape(len(array), -1)
@@ -92,7 +92,7 @@ def read_array(path: Path) -> ArrayTable:
 
 
 def structure_of(path: Path, text: str) -> str | None:
-    """Return which of the ``STRUCTURED`` a text is, None for a table."""
+    """Return the key of ``STRUCTURED`` for a text, None for a table."""
     beginning = text[:2000].lstrip()
     if path.suffix == '.json' or beginning.startswith('{'):
         return 'nerfstudio'
@@ -104,7 +104,7 @@ def structure_of(path: Path, text: str) -> str | None:
 
 
 def read_g2o(path: Path, text: str) -> RawPoses:
-    """Return the vertices of a pose graph; their ids are numbers of frames."""
+    """Return the vertices of a pose graph; their ids are the frame numbers."""
     lines = [line for line in text.split('\n') if line.startswith('VERTEX_SE3:QUAT')]
     if not lines:
         planar = ': poses in the plane cannot serve' if 'VERTEX_SE2' in text else ''
@@ -112,7 +112,7 @@ def read_g2o(path: Path, text: str) -> RawPoses:
     table = Table.parse(path, '\n'.join(lines) + '\n')
     if table.width < 9:
         raise SourceError(f'{path}: a VERTEX_SE3:QUAT needs an id and 7 numbers')
-    # Ids may be as large as 64 bits; the low ones count the poses of a robot.
+    # Ids have up to 64 bits; the low 48 bits are the index of the pose in the track of a robot.
     ids = np.array([int(line.split(None, 2)[1]) for line in lines], dtype=np.uint64)
     order = np.argsort(ids, kind='stable')
     numbers = (ids[order] & np.uint64(2**48 - 1)).astype(np.int64)
@@ -121,7 +121,7 @@ def read_g2o(path: Path, text: str) -> RawPoses:
 
 
 def read_colmap(path: Path, text: str) -> RawPoses:
-    """Return the camera poses of an images.txt, which holds the world in the camera."""
+    """Return the camera poses of an images.txt, the inverse of its world-to-camera transforms."""
     rows, names = [], []
     for line in text.split('\n'):
         words = line.split(None, _COLMAP_COLUMNS - 1)
@@ -139,18 +139,18 @@ def read_colmap(path: Path, text: str) -> RawPoses:
         raise SourceError(f'{path}: a quaternion (QW, QX, QY, QZ) is not of norm 1')
     R = se3.quaternion_to_rotation((values[:, :4] / norm)[:, [1, 2, 3, 0]])
     poses = se3.inverse(se3.from_rotation_translation(R, values[:, 4:]))
-    return _by_name(poses, names, path)
+    return _sorted_by_name(poses, names, path)
 
 
 def read_nerfstudio(path: Path, text: str) -> RawPoses:
-    """Return the ``transform_matrix`` of each frame of a transforms.json, as it stands.
+    """Return the ``transform_matrix`` of each frame of a transforms.json, unchanged.
 
-    Its camera looks along -z with y up.
+    Camera axes as in OpenGL: it looks along -z, y is up.
     """
     import json
     try:
         frames = json.loads(text)['frames']
-        poses = np.array([_square(frame['transform_matrix']) for frame in frames], dtype=float)
+        poses = np.array([_completed(frame['transform_matrix']) for frame in frames], dtype=float)
         names = [str(frame.get('file_path', '')) for frame in frames]
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         what = 'is JSON, but no' if text.lstrip().startswith('{') else 'is no'
@@ -158,10 +158,10 @@ def read_nerfstudio(path: Path, text: str) -> RawPoses:
                           f'"transform_matrix" each ({in_words(error)})') from error
     if poses.shape[1:] != (4, 4):
         raise SourceError(f'{path} holds no 4 x 4 matrices')
-    return _by_name(poses, names, path)
+    return _sorted_by_name(poses, names, path)
 
 
-def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
+def _sorted_by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
     stamps_ns, numbers = stamps_in_names(names, path)
     keys = numbers if stamps_ns is None else stamps_ns
     order = np.arange(len(poses)) if keys is None else np.argsort(keys)
@@ -170,8 +170,8 @@ def _by_name(poses: FloatArray, names: list[str], path: Path) -> RawPoses:
                     kind='names of images that are no times')
 
 
-def _square(matrix: Any) -> list[list[float]]:
-    """Return a matrix with its last row."""
+def _completed(matrix: Any) -> list[list[float]]:
+    """Return a 3 x 4 matrix with the row 0 0 0 1 appended; others unchanged."""
     return [*matrix, [0.0, 0.0, 0.0, 1.0]] if len(matrix) == 3 else matrix
 
 

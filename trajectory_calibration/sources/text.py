@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A text file as a table of fields, with its heading; or the reason why it is none."""
+"""Parse a text file into a table of fields with its headings."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from trajectory_calibration.sources.numbers import (
 )
 
 BAG_SUFFIXES = ('.mcap', '.db3', '.bag', '.zstd', '.zst')
-# How files of gzip, zip, bzip2, xz and zstd begin.
+# First bytes of gzip, zip, bzip2, xz and zstd files.
 _PACKED = (b'\x1f\x8b', b'PK\x03\x04', b'BZh', b'\xfd7zXZ', b'\x28\xb5\x2f\xfd')
 _LFS = b'version https://git-lfs.github.com/spec/'
 _COMMENTS = ('#', '%', '//')
 _WORDS = re.compile(r'[,;\s]+')
-# How XML and JSON begin, and what ros2 topic echo prints.
+# First characters of XML, JSON and the output of ros2 topic echo.
 _FOREIGN = re.compile(r'\s*(<|\[?\s*\{|header:\n)')
-# A number with a comma before its decimals, as spreadsheets of many countries write it.
+# A number with a decimal comma, as spreadsheets of many countries write it.
 _DECIMAL_COMMA = re.compile(r'[-+]?\d+,\d+([eE][-+]?\d+)?')
-# Rows from the beginning and from the end by which a layout is known.
+# Number of first rows, and of last rows, from which the layout is detected.
 _SAMPLE = 200
-# Rows that are read at once.
+# Rows parsed per call of NumPy.
 _BLOCK = 8192
 
 
@@ -44,12 +44,12 @@ class Table:
     ----------
     path : the file.
     lines : the rows.
-    line_numbers : where they stand in the file, from 1.
-    headings : what the comment lines and a first line of words say, without their marks.
-    separator : of the fields: a comma, or None for blanks.
-    width : how many columns there are.
-    complete : whether the last line had an end.
-    notes : what was repaired.
+    line_numbers : their line numbers in the file, from 1.
+    headings : lines before the first row, comments included.
+    separator : of the fields: a comma, or None for white space.
+    width : number of columns.
+    complete : whether the last line ends with a line break.
+    notes : repairs.
 
     """
 
@@ -64,9 +64,9 @@ class Table:
 
     @classmethod
     def parse(cls, path: Path, text: str) -> Table:
-        """Make a table of the text of a file.
+        """Parse the text of a file.
 
-        Raise SourceError where it is no table, or its rows are of unequal length.
+        Raise SourceError if it is no table.
         """
         foreign = _FOREIGN.match(text)
         if foreign is not None:
@@ -75,7 +75,7 @@ class Table:
             raise SourceError(f'{path} is {kind}; needed a table of poses (docs/inputs.md)')
         everything = text.replace('"', '').split('\n')
         headings, first = _headings(everything)
-        # Most rows begin with a digit, which is quickly seen.
+        # Most rows begin with a digit, and this comparison is fast.
         numbers = [number for number, line in enumerate(everything[first:], first + 1)
                    if '0' <= line < ':' or (
                        line.strip() and not line.lstrip().startswith(_COMMENTS))]
@@ -89,14 +89,14 @@ class Table:
                 map(_DECIMAL_COMMA.fullmatch, (field for field in fields if ',' in field))):
             lines = [line.replace(',', '.') for line in lines]
             notes.append('decimal commas: read as points')
-        # Fields may be empty, and names hold blanks, where a heading has as many separators.
+        # If a heading has as many separators, fields may be empty and names contain spaces.
         mark = next((mark for mark in '\t;' if mark in lines[0]), ',')
         like_heading = any(heading.count(mark) == lines[0].count(mark) for heading in headings)
         if ',' not in lines[0] and (mark == ';' or like_heading):
             lines = [line.replace(mark, ',') for line in lines]
             headings = [heading.replace(mark, ',') for heading in headings]
         if not like_heading and all(line.rstrip().endswith(',') for line in lines):
-            # A comma behind the last field of all rows means nothing; of some, a field is empty.
+            # A comma at the end of all rows is ignored; at the end of some, the field is empty.
             lines = [line.rstrip()[:-1] for line in lines]
         separator = ',' if ',' in lines[0] else None
         counts = [len(line.split(separator)) for line in lines[:_SAMPLE]]
@@ -112,8 +112,8 @@ class Table:
     ) -> Numbers:
         """Return columns of numbers as ``numbers.read_columns`` does.
 
-        Raise SourceError, which names the line, where a field is no number, or a line has more
-        fields or fewer.
+        Raise SourceError with the line number if a field is no number, or a line has another
+        number of fields.
         """
         blocks: list[Numbers] = []
         for start in range(0, len(self.lines), _BLOCK):
@@ -128,26 +128,26 @@ class Table:
                     f'{self.path}, line {self.line_numbers[start + k]}, column {column + 1}: '
                     f'{_shown(word)} {reason}') from None
             except ValueError as error:
-                self._require_even(start, start + len(lines))
+                self._require_width(start, start + len(lines))
                 raise SourceError(f'{self.path} cannot be read: {error}') from error
         return Numbers(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def sample(self) -> FloatArray:
-        """Return (M, C) rows from the beginning and the end; NaN for words."""
+        """Return the (M, C) first and last rows; NaN for words."""
         last = max(len(self.lines) - _SAMPLE, _SAMPLE)
-        self._require_even(0, _SAMPLE)
-        self._require_even(last, len(self.lines))
+        self._require_width(0, _SAMPLE)
+        self._require_width(last, len(self.lines))
         return np.array([[float(word) if is_number(word) else np.nan
                           for word in line.split(self.separator)]
                          for line in self.lines[:_SAMPLE] + self.lines[last:]])
 
     def drop_last(self) -> None:
-        """Leave out the last row, which a recorder that was killed left incomplete."""
+        """Drop the last row, which is incomplete because the recorder was killed."""
         self.notes.append(f'the last line, {self.line_numbers[-1]}, is cut off: dropped')
         self.lines, self.line_numbers = self.lines[:-1], self.line_numbers[:-1]
 
-    def _require_even(self, first: int, end: int) -> None:
-        """Raise SourceError where one of some rows has another width."""
+    def _require_width(self, first: int, end: int) -> None:
+        """Raise SourceError if a row in the range has another number of columns."""
         for line, number in zip(self.lines[first:end], self.line_numbers[first:end], strict=True):
             count = len(line.split(self.separator))
             if count != self.width:
@@ -157,14 +157,14 @@ class Table:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell a bag from a text file: a folder, or one of the suffixes of bags."""
+    """Return whether a path is a bag: a folder, or a file with the suffix of a bag."""
     return path.is_dir() or path.suffix in BAG_SUFFIXES
 
 
 def read_text(path: Path) -> str:
-    """Return the content of a text file with plain line ends.
+    r"""Return the content of a text file with '\n' as line break.
 
-    Raise SourceError where the file cannot be read, or is no text.
+    Raise SourceError if the file cannot be read, or is no text.
     """
     if is_bag(path):
         raise SourceError(f'{path} is a bag or a folder, needed a text file; name two of its '
@@ -187,7 +187,7 @@ def read_text(path: Path) -> str:
 
 
 def refuse_pointer(path: Path, data: bytes) -> None:
-    """Raise SourceError for what Git LFS leaves in place of a file."""
+    """Raise SourceError for a Git LFS pointer file."""
     if data.startswith(_LFS):
         raise SourceError(f'{path} is a pointer of Git LFS, not the data; fetch the data with: '
                           'git lfs pull')
@@ -199,8 +199,8 @@ def _shown(text: str) -> str:
 
 
 def _headings(lines: Sequence[str]) -> tuple[list[str], int]:
-    """Return what stands before the numbers, and in which line they begin, from 0."""
-    # Above a table whose rows begin with a number, exporters write lines that do not.
+    """Return the non-empty lines before the first row, and the index of the first row."""
+    # If the last row begins with a number, the lines above the table begin with a word.
     last = _WORDS.split(next(filter(str.strip, reversed(lines)), '').rstrip())
     by_first = is_number(last[0])
     headings: list[str] = []
@@ -217,6 +217,6 @@ def _headings(lines: Sequence[str]) -> tuple[list[str], int]:
 
 
 def _like_a_topic(path: Path) -> bool:
-    """Tell /lidar/odometry from the name of a file: nothing is there, nor its folder."""
+    """Return whether a path is probably a topic: /lidar/odometry, without such a folder."""
     at_root = path.is_absolute() and not path.suffix and not path.exists()
     return at_root and (len(path.parts) == 2 or not path.parent.exists())

@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Times as they stand in files: their unit, what writers do to them, times in a file of their own.
+"""Times in files: detect the unit, repair wrong formats, read a separate file of times.
 
-Each function returns exact integer nanoseconds and notes on what was understood or repaired.
+Times are exact integer nanoseconds.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from trajectory_calibration.sources.layouts import TIME_UNITS
 from trajectory_calibration.sources.numbers import read_dates
 from trajectory_calibration.sources.text import read_text, Table
 
-# Times above these cannot be in the units before: since 1970, and no drive lasts 3000 years.
+# Smallest time since 1970 in each unit; a smaller unit would mean year 3000 and later.
 _EPOCHS = (('ns', 1e17), ('us', 1e14), ('ms', 1e11))
-# What a second has of nanoseconds, microseconds or milliseconds.
-_PARTS = (9, 6, 3)
+# Decimals of a second for nanoseconds, microseconds and milliseconds.
+_DECIMALS = (9, 6, 3)
 
 Stamps = NDArray[np.int64]
 
 
 def time_unit_of(values: FloatArray) -> str:
-    """Return the unit that the size of (N,) times since 1970 tells; seconds where it does not."""
+    """Return the unit of (N,) times since 1970 from their magnitude, 's' if it is not clear."""
     finite = values[np.isfinite(values)]
     size = float(np.median(np.abs(finite))) if len(finite) else 0.0
     return next((unit for unit, least in _EPOCHS if size >= least), 's')
 
 
-def judge_seconds(
+def check_seconds(
     stamps_ns: Stamps, places: NDArray[np.intp],
 ) -> tuple[Stamps, list[Finding]]:
-    """Return times that were read as seconds, repaired or in doubt, and what is to be said.
+    """Return (N,) times that were read as seconds, repaired if needed, and findings.
 
-    ``places`` are their digits after the point. Undone is ``sec.nsec`` that was written without
-    leading zeros, as 12.7 for 12.000000007: the lengths of the fractions then differ, and the
-    times, read as decimals, run to and fro.
+    ``places`` are their decimals, (N,). Some writers print ``sec.nsec`` without leading zeros,
+    12.7 for 12.000000007. Then the number of decimals varies, and the times as decimals are not
+    monotonic. This is repaired.
     """
     longest = int(places.max(initial=0))
-    if longest in _PARTS and longest > int(places.min(initial=0)) >= 0:
+    if longest in _DECIMALS and longest > int(places.min(initial=0)) >= 0:
         tens = 10 ** np.arange(10, dtype=np.int64)
         seconds = stamps_ns // tens[9]
         written = (stamps_ns - seconds * tens[9]) // tens[9 - places]
@@ -69,13 +69,13 @@ def _is_better(new: Stamps, old: Stamps) -> bool:
 
 
 def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
-    """Return a question where the times, read as seconds, look like numbers of frames."""
+    """Return a question if the times, read as seconds, look like frame numbers."""
     steps = np.diff(stamps_ns)
-    # Fewer poses, or seconds since 1970, are no reason to ask.
+    # No question for few poses, or for seconds since 1970.
     if len(stamps_ns) < 10 or (steps <= 0).any() or stamps_ns[0] < 0 or (
             stamps_ns[-1] > 1e7 * 1e9):
         return []
-    # KISS-ICP writes 0.0000, 1.0000, ... where its data set has no times.
+    # KISS-ICP writes 0.0000, 1.0000, ... if its data set has no times.
     counted_up = stamps_ns[0] in (0, 10**9) and (steps == 10**9).all()
     if not counted_up and (places > 0).any():
         return []
@@ -87,11 +87,11 @@ def _doubts(stamps_ns: Stamps, places: NDArray[np.intp]) -> list[Finding]:
 
 
 def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]:
-    """Return the times of a file, one a line, and which of them are not finite.
+    """Return the (N,) times of a file with one time per line, and which of them are not finite.
 
-    Seconds, or another unit that their size tells, or dates as KITTI writes them; the number of
-    the frame before the time is ignored, and so is what follows. Blank and comment lines are
-    skipped. Raise SourceError where a line holds no time.
+    The times are dates as in KITTI, or numbers in the ``unit``; if it is None, in the unit from
+    their magnitude. A frame number before the time and fields after it are ignored; blank and
+    comment lines are skipped. Raise SourceError if a line has no time.
     """
     lines = [line.strip() for line in read_text(path).split('\n')]
     lines = [line for line in lines if line and not line.startswith(('#', '%'))]
@@ -102,7 +102,7 @@ def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]
     rows = [re.split(r'[,;\s]+', line, maxsplit=2) for line in lines]
     if rows and not re.match(r'[-+.\d]|nan$', rows[0][0]):
         rows = rows[1:]
-    # The time may stand behind the number of its frame.
+    # The time may follow a frame number.
     numbered = len(rows) > 1 and rows[0][1:2] != rows[-1][1:2] and all(
         len(row) > 1 and row[0].isdigit() and int(row[0]) - k in (0, 1)
         and re.match(r'\d', row[1]) for k, row in enumerate(rows))
@@ -112,14 +112,14 @@ def read_times(path: Path, unit: str | None) -> tuple[Stamps, NDArray[np.bool_]]
 def _stamps_of(
     words: list[str], path: Path, unit: str | None,
 ) -> tuple[Stamps, NDArray[np.bool_]]:
-    """Return the (N,) nanoseconds of times, and which of them are not finite."""
+    """Return (N,) times in nanoseconds, and which of them are not finite."""
     table = Table.parse(path, '\n'.join(words) + '\n')
     numbers = table.read_numbers([], 0, TIME_UNITS[unit or time_unit_of(table.sample()[:, 0])])
     return numbers.stamps_ns, ~numbers.finite
 
 
 def stamps_in_names(names: list[str], path: Path) -> tuple[Stamps | None, Stamps | None]:
-    """Return (N,) times, or else (N,) numbers of frames, that names of image files hold."""
+    """Return (N,) times and (N,) frame numbers from image names; at least one is None."""
     stems = [re.sub(r'\.(png|jpe?g|pgm|bmp|tiff?|exr|webp|ppm)$', '', name.rpartition('/')[2],
                     flags=re.IGNORECASE) for name in names]
     words = [(re.findall(r'\d+(?:\.\d+)?', stem) or [''])[-1] for stem in stems]

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of one topic, gathered and made into a trajectory."""
+"""Collect the messages of one topic, and convert them to a trajectory."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from trajectory_calibration.sources.usable import UsablePoses
 
 @dataclass(frozen=True, eq=False)
 class TopicTrack:
-    """What one topic holds, as it was recorded: nothing repaired, nothing left out but bytes.
+    """The recorded poses of one topic, before any check or repair.
 
     Attributes
     ----------
     topic, msgtype : name and type.
-    messages : how many were read.
-    unreadable : how many of them were not.
-    refused : (3,), how many transforms of a chain were none, as ``pose_faults`` tells them apart.
-    stamps_ns, received_ns : (N,) int64, of the header and of the recorder.
+    messages : number of messages read.
+    unreadable : number of those that could not be parsed.
+    refused : (3,), number of invalid transforms of a chain by the kinds of ``pose_faults``.
+    stamps_ns, received_ns : (N,) int64, header stamp and receive time.
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw.
     frame_index : (N,), index into ``frames``.
     frames : pairs of header.frame_id and child_frame_id.
-    warnings : what is missing from the bag.
-    notes : what was left out on purpose.
+    warnings : messages missing from the bag.
+    notes : messages dropped on purpose.
 
     """
 
@@ -56,7 +56,7 @@ class TopicTrack:
     notes: tuple[str, ...] = ()
 
     def only(self, keep: NDArray[np.bool_]) -> TopicTrack:
-        """Return the track with some of its poses."""
+        """Return the track with the poses selected by the (N,) mask."""
         return replace(
             self, stamps_ns=self.stamps_ns[keep], received_ns=self.received_ns[keep],
             poses=self.poses[keep], frame_index=self.frame_index[keep])
@@ -64,18 +64,19 @@ class TopicTrack:
     def to_trajectory(
         self, sensor_frame: str | None = None, world_frame: str | None = None,
     ) -> Trajectory:
-        """Make a trajectory of what can be used; what cannot is counted in its warnings.
+        """Return the trajectory of the usable poses; findings count the dropped ones.
 
-        * Poses in more than one frame are never mixed: the pair of frames with the most poses
-          stays.
-        * Headers without stamps: the receive time serves if no header has one, otherwise those
-          messages go.
-        * Poses that are not finite, or whose quaternion is not of unit length, go.
+        * Poses in different frames are never mixed: only the pair of frames with the most poses
+          is kept.
+        * If no header has a stamp, the receive times are used; otherwise messages without a stamp
+          are dropped.
+        * Poses that are not finite, too far away, or whose quaternion is not of unit length, are
+          dropped.
 
-        The names of the frames are those of the messages unless given; a message without a
-        child frame gives the sensor the name of its topic.
+        Frame names default to those of the messages; without a child frame, the sensor has the
+        name of the topic.
 
-        Raise SourceError where fewer than two poses are left.
+        Raise SourceError if fewer than two poses are left.
         """
         usable = UsablePoses(self.topic, counted(self.messages, 'message'), self.poses, [
             *(Finding('bag-damaged', text) for text in self.warnings),
@@ -113,32 +114,32 @@ class TopicTrack:
         names = list(dict.fromkeys(plain))
         index = np.array([names.index(pair) for pair in plain])[self.frame_index]
         counts = np.bincount(index, minlength=len(names))
-        most = int(np.argmax(counts))
+        largest = int(np.argmax(counts))
         if np.count_nonzero(counts) > 1:
             others = ', '.join(
-                f'{count} in {_frame_names(frames)}'
+                f'{count} in {_frame_words(frames)}'
                 for k, (frames, count) in enumerate(zip(names, counts, strict=True))
-                if count and k != most)
+                if count and k != largest)
             notes.append(Finding(
-                'input-repaired', f'the frames change: kept {counted(counts[most], "pose")} in '
-                f'{_frame_names(names[most])}, dropped {others}'))
+                'input-repaired', f'the frames change: kept {counted(counts[largest], "pose")} in '
+                f'{_frame_words(names[largest])}, dropped {others}'))
         slashed = [name for pair in self.frames for name in pair if name.startswith('/')]
         if slashed:
             notes.append(Finding(
                 'frame-renamed', 'frames lose their leading slash, which tf2 refuses: '
                 f'{", ".join(dict.fromkeys(slashed))}'))
-        keep &= index == most
-        return names[most]
+        keep &= index == largest
+        return names[largest]
 
 
 class TopicCollector:
-    """Gathers the messages of one topic from one file.
+    """Collects the messages of one topic from one file.
 
     Attributes
     ----------
     topic, msgtype : name and type.
-    count, unreadable : messages that were taken, and how many of them could not be read.
-    found : their poses, the messages counted from the first one.
+    count, unreadable : number of messages, and of those that could not be parsed.
+    found : their poses, with message indices from the first message on.
 
     """
 
@@ -147,11 +148,11 @@ class TopicCollector:
         self.count, self.unreadable = 0, 0
         self.found: list[cdr.Poses] = []
         self._received_ns = [np.zeros(0, np.int64)]
-        # The Path which counts so far: the message, which one it is, and whether of ROS 1.
-        self._held = b'', 0, False
+        # The Path used so far: message, its index, and whether it is of ROS 1.
+        self._last_path = b'', 0, False
 
     def add(self, batch: Batch) -> None:
-        """Take messages in the order in which the recorder got them."""
+        """Add messages in order of reception."""
         ros1 = batch.channel.encoding == 'ros1'
         self._received_ns.append(np.array(batch.received_ns, dtype=np.int64))
         if self.msgtype == cdr.PATH:
@@ -165,18 +166,18 @@ class TopicCollector:
         self.count += len(batch.messages)
 
     def received_ns(self) -> NDArray[np.int64]:
-        """Return when each message was received, (N,)."""
+        """Return the receive time of each message, (N,) nanoseconds."""
         return np.concatenate(self._received_ns)
 
     def tracks(self) -> list[TopicTrack]:
-        """Return everything that was taken, for ``join_tracks``; of Paths those that may count."""
+        """Return the tracks for ``join_tracks``; of Paths, one track for each that may be used."""
         groups = [self.found] if self.found else []
         unreadable = self.unreadable
         if self.msgtype == cdr.PATH:
-            held = self._held_path()
-            unreadable += held is None and self.count > 0
-            groups = [[path] for path in (*self.found, held) if path is not None]
-        # What counts messages holds no poses.
+            last = self._parsed_last_path()
+            unreadable += last is None and self.count > 0
+            groups = [[path] for path in (*self.found, last) if path is not None]
+        # The first track has the message counts and no poses.
         tracks = [TopicTrack(self.topic, self.msgtype, self.count, unreadable)]
         for found in groups:
             index, messages, stamps_ns, poses = _joined(found)
@@ -186,29 +187,29 @@ class TopicCollector:
         return tracks
 
     def _add_path(self, message: bytes, index: int, *, ros1: bool) -> None:
-        """Keep a path if it replaces the one that is held.
+        """Replace the current path by a newer one.
 
-        A SLAM publishes its whole optimised path again and again: the last one counts, but for
-        one without a usable pose. Paths grow: only a shorter one is looked into. The one that is
-        held stays as one of its own where that begins after it.
+        A SLAM publishes its whole optimised path repeatedly, and the last one with a usable pose
+        is used. Paths grow, so only a shorter one is parsed here. If it starts after the end of
+        the current path, both are kept: time or SLAM was restarted.
         """
-        if len(message) < len(self._held[0]):
+        if len(message) < len(self._last_path[0]):
             path = cdr.parse_path(message, ros1=ros1)
             if path is None or not _is_usable(path):
                 return
-            held = self._held_path()
-            if held and len(held.poses) and held.stamps_ns.max() < path.stamps_ns.min():
-                self.found.append(held)
-        self._held = message, index, ros1
+            last = self._parsed_last_path()
+            if last and len(last.poses) and last.stamps_ns.max() < path.stamps_ns.min():
+                self.found.append(last)
+        self._last_path = message, index, ros1
 
-    def _held_path(self) -> cdr.Poses | None:
-        message, index, ros1 = self._held
+    def _parsed_last_path(self) -> cdr.Poses | None:
+        message, index, ros1 = self._last_path
         path = cdr.parse_path(message, ros1=ros1)
         return path and path._replace(messages=path.messages + index)
 
 
 def _joined(found: Sequence[cdr.Poses]) -> list[NDArray[Any]]:
-    """Return for each pose its place in ``found``, message, stamp and pose, as they came."""
+    """Return index in ``found``, message index, stamp and pose of each pose, by message."""
     columns = [np.repeat(np.arange(len(found)), [len(poses.messages) for poses in found]),
                *map(np.concatenate, zip(*(poses[1:] for poses in found), strict=True))]
     order = np.argsort(columns[1], kind='stable')
@@ -216,7 +217,7 @@ def _joined(found: Sequence[cdr.Poses]) -> list[NDArray[Any]]:
 
 
 def transform_tree(collectors: Sequence[TopicCollector]) -> TransformTree:
-    """Put the transforms of several topics and files together, in the order of reception."""
+    """Return the tree of the transforms of several topics and files, in order of reception."""
     tree = TransformTree()
     for collector in sorted(collectors, key=lambda item: int(item.received_ns()[0])):
         by_frames: dict[cdr.TwoFrames, list[cdr.Poses]] = {}
@@ -230,10 +231,9 @@ def transform_tree(collectors: Sequence[TopicCollector]) -> TransformTree:
 def transform_track(
     name: str, tree: TransformTree, collectors: Sequence[TopicCollector],
 ) -> TopicTrack:
-    """Return the poses that ``tf:PARENT.CHILD`` names.
+    """Return the track of ``tf:PARENT.CHILD``.
 
-    Raise TopicError where the two frames are not connected, or do not move in relation to each
-    other.
+    Raise TopicError if the two frames are not connected, or do not move relative to each other.
     """
     parent, child = parse_tf(name, tree.frames)
     notes: list[str] = []
@@ -252,7 +252,7 @@ def _is_usable(path: cdr.Poses) -> bool:
 
 
 def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicTrack:
-    """Put the parts of one topic from several files together, in the order of reception."""
+    """Join the tracks of one topic from several files in order of reception."""
     notes = [text for part in parts for text in part.notes]
     ordered = sorted(parts, key=lambda part: part.received_ns[:1].tolist())
     if msgtype == cdr.PATH:
@@ -271,19 +271,19 @@ def join_tracks(topic: str, msgtype: str, parts: Sequence[TopicTrack]) -> TopicT
 
 
 def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
-    """Say which paths hold poses of a time of their own, which the last path does not replace."""
+    """Return a note on dropped paths that do not overlap in time with the last path."""
     if not paths:
         return []
     start, end = paths[-1].stamps_ns.min(), paths[-1].stamps_ns.max()
-    apart = [path for path in paths[:-1]
+    separate = [path for path in paths[:-1]
              if path.stamps_ns.max() < start or path.stamps_ns.min() > end]
-    if not apart:
+    if not separate:
         return []
-    dropped = counted(len(apart), 'earlier path')
-    poses = counted(sum(len(path.poses) for path in apart), 'pose')
+    dropped = counted(len(separate), 'earlier path')
+    poses = counted(sum(len(path.poses) for path in separate), 'pose')
     advice = 'only the last path is used; calibrate each bag by itself'
     return [f'{dropped} with {poses} of another time: dropped, {advice}']
 
 
-def _frame_names(frames: tuple[str, str]) -> str:
+def _frame_words(frames: tuple[str, str]) -> str:
     return ' -> '.join(repr(name) for name in frames if name) or 'no frame'

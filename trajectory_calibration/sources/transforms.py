@@ -1,11 +1,11 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The pose of one frame in another out of many transforms: what tf2 answers, without ROS.
+"""The pose of one frame in another from a tree of transforms, like a tf2 lookup, without ROS.
 
 A robot publishes ``map -> odom`` and ``odom -> base_link`` separately, each at its own times.
-``TransformTree`` holds such edges and composes a chain of them; ``ChainFollower`` does the same
-while the transforms arrive. docs/inputs.md has the rules: which stamps the poses get, and what is
-interpolated. Frame names lose a leading slash, as tf2 wants it.
+``TransformTree`` stores such edges and composes a chain of them; ``ChainFollower`` does so with
+live transforms. docs/inputs.md has the rules for stamps and interpolation. A leading slash is
+removed from frame names, as tf2 requires.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ from trajectory_calibration.sources.edges import (
 
 TF_PREFIX = 'tf:'
 
-# Edges that move are kept up to this number until the chain is known.
-_MOST_MOVING = 1000
+# Largest number of non-static edges kept before the chain is known.
+_MAX_MOVING = 1000
 
 
 class Link(NamedTuple):
-    """One step of a chain: an edge, and whether it is taken from parent to child."""
+    """One step of a chain: an edge, and whether the step goes from parent to child."""
 
     edge: Edge
     downwards: bool
 
 
 class TransformTree:
-    """Transforms between frames, as /tf and /tf_static give them."""
+    """Transforms between frames from /tf and /tf_static."""
 
     def __init__(self) -> None:
         self._edges: dict[tuple[str, str], Edge] = {}
 
     def edge(self, parent: str, child: str, *, static: bool = False) -> Edge:
-        """Return the edge from a frame to its child, which is made where there is none."""
+        """Return the edge from a frame to its child; a new edge if there is none."""
         key = parent.lstrip('/'), child.lstrip('/')
         edge = self._edges.get(key)
         if edge is None:
@@ -58,12 +58,12 @@ class TransformTree:
         return edge
 
     def drop(self, edge: Edge) -> None:
-        """Forget an edge."""
+        """Remove an edge."""
         del self._edges[edge.parent, edge.child]
 
     def extend(self, parent: str, child: str, stamps_ns: ArrayLike, poses: ArrayLike, *,
                static: bool = False) -> None:
-        """Take (N,) stamps and (N, 7) poses of ``child`` in ``parent``."""
+        """Add (N,) stamps and (N, 7) poses of ``child`` in ``parent``."""
         self.edge(parent, child, static=static).extend(stamps_ns, poses)
 
     @property
@@ -77,9 +77,9 @@ class TransformTree:
         return tuple(dict.fromkeys(name for pair in self._edges for name in pair))
 
     def pairs(self) -> list[tuple[str, str]]:
-        """Return the pairs of frames that move in relation to each other and can serve.
+        """Return parent and child of frames that move relative to each other.
 
-        One frame stands for all that are fixed to it.
+        Of frames that are fixed to each other only one is listed.
         """
         moving = [edge for edge in self.edges if not edge.static and edge.changes]
         found = []
@@ -92,10 +92,10 @@ class TransformTree:
         return found
 
     def chain(self, parent: str, child: str) -> list[Link]:
-        """Return the links that lead from one frame to another.
+        """Return the links from one frame to another.
 
-        Raise TopicError where a frame is not known, the two are not connected, or there are two
-        ways between them.
+        Raise TopicError if a frame is unknown, the two are not connected, or there are two paths
+        between them.
         """
         names = self.frames
         for name in (parent, child):
@@ -115,7 +115,7 @@ class TransformTree:
         for link in path:
             if child in self._paths(parent, without=link.edge):
                 raise TopicError(
-                    f'there are two ways from {parent} to {child}: {self._with_two_parents()}; '
+                    f'there are two ways from {parent} to {child}: {self._two_parents()}; '
                     'name a pair of frames between which there is one')
         return path
 
@@ -124,30 +124,30 @@ class TransformTree:
     ) -> tuple[NDArray[np.int64], FloatArray]:
         """Return (N,) stamps and the (N, 4, 4) poses of ``child`` in ``parent``.
 
-        What was left out is added to ``notes``. Raise TopicError as ``chain`` does, and where
-        nothing moves between the two frames.
+        Dropped poses are added to ``notes``. Raise TopicError as ``chain`` does, and if the two
+        frames do not move relative to each other.
         """
         links = self.chain(parent, child)
         return _compose(links, stamp_edge(links), [] if notes is None else notes)
 
     def _paths(self, start: str, without: Edge | None = None) -> dict[str, list[Link]]:
-        """Return the shortest ways from a frame to all that it is connected with."""
+        """Return the shortest paths from a frame to all frames connected with it."""
         links: defaultdict[str, list[tuple[str, Link]]] = defaultdict(list)
         for edge in self.edges:
             if edge is not without:
                 links[edge.parent].append((edge.child, Link(edge, downwards=True)))
                 links[edge.child].append((edge.parent, Link(edge, downwards=False)))
         reached: dict[str, list[Link]] = {start: []}
-        waiting = deque([start])
-        while waiting:
-            name = waiting.popleft()
+        queue = deque([start])
+        while queue:
+            name = queue.popleft()
             for other, link in links[name]:
                 if other not in reached:
                     reached[other] = [*reached[name], link]
-                    waiting.append(other)
+                    queue.append(other)
         return reached
 
-    def _with_two_parents(self) -> str:
+    def _two_parents(self) -> str:
         parents = {child: [edge.parent for edge in self.edges if edge.child == child]
                    for child in self.frames}
         return '; '.join(f'{child} has the parents {" and ".join(names)}'
@@ -155,11 +155,11 @@ class TransformTree:
 
 
 class ChainFollower:
-    """The pose of one frame in another while transforms arrive.
+    """The pose of one frame in another from live transforms.
 
-    ``add`` every transform of /tf and /tf_static, ``take`` the poses that have become known;
-    ``waiting_for`` says why there are none. Where the time of an edge of the chain runs backwards,
-    the poses do, too: what comes before is forgotten, as tf2 does it.
+    ``add`` every transform of /tf and /tf_static, and ``take`` the new poses; ``waiting_for`` is
+    the reason if there are none. If the time of an edge of the chain goes back, all earlier
+    transforms are dropped, as in tf2.
     """
 
     def __init__(self, parent: str, child: str) -> None:
@@ -168,22 +168,22 @@ class ChainFollower:
         self.restart(f'no transform yet: is /tf published? ({self.parent}, {self.child})')
 
     def restart(self, why: str = 'waiting for the next transforms') -> None:
-        """Forget all transforms but the static ones, which are said only once."""
+        """Drop all transforms except the static ones, which are published only once."""
         self.waiting_for = why
         for edge in self._tree.edges:
             if not edge.static:
                 self._tree.drop(edge)
-        self._given_ns = -2**63
-        # The edges of the chain, once they are known, and the one whose stamps the poses get.
+        self._last_stamp_ns = -2**63
+        # Edges of the chain, empty until it is known; and the edge that gives the stamps.
         self._chain: frozenset[Edge] = frozenset()
         self._children: frozenset[str] = frozenset()
         self._stamps_of: Edge | None = None
 
     def extend(self, runs: Iterable[Poses], *, static: bool = False) -> None:
-        """Take what many messages hold, in their order."""
+        """Add the transforms of several messages in message order."""
         for _, frames, stamp_ns, pose in sorted(
                 ((message, run.frames, stamp_ns, pose)
-                 for run in runs if not self._is_needless(run.frames[1], static=static)
+                 for run in runs if not self._is_irrelevant(run.frames[1], static=static)
                  for message, stamp_ns, pose in zip(
                      *(column.tolist() for column in run[1:]), strict=True)),
                 key=itemgetter(0)):
@@ -191,14 +191,14 @@ class ChainFollower:
 
     def add(self, parent: str, child: str, stamp_ns: int, pose: Sequence[float], *,
             static: bool = False) -> None:
-        """Take the pose (x, y, z, qx, qy, qz, qw) of ``child`` in ``parent`` at a time."""
-        if self._is_needless(child, static=static):
+        """Add one transform: the pose x, y, z (m), qx, qy, qz, qw of ``child`` in ``parent``."""
+        if self._is_irrelevant(child, static=static):
             return
         edge = self._tree.edge(parent, child, static=static)
         if self._chain and edge not in self._chain and not static:
-            # A second parent: it matters that there is one, not where.
+            # A second parent: only its existence matters, not its transforms.
             return
-        if edge.goes_back(stamp_ns):
+        if edge.is_reset(stamp_ns):
             if self._chain:
                 self.restart(f'the time of {edge} ran backwards: waiting for its next transforms')
             else:
@@ -207,14 +207,13 @@ class ChainFollower:
         edge.add(stamp_ns, pose)
 
     def take(self) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]:
-        """Return (N,) stamps and (N, 4, 4) poses that became known since the last call.
+        """Return (N,) stamps and (N, 4, 4) poses since the last call, and (3,) refused transforms.
 
-        And (3,), how many transforms of the chain were refused, as ``pose_faults`` tells them
-        apart.
+        The last are numbers of refused transforms of the chain by the kinds of ``pose_faults``.
         """
         stamps_ns, poses = np.zeros(0, np.int64), np.zeros((0, 4, 4))
         for edge in self._tree.edges:
-            edge.settle()
+            edge.flush()
         try:
             links = self._tree.chain(self.parent, self.child)
             self._chain = frozenset(link.edge for link in links)
@@ -224,40 +223,40 @@ class ChainFollower:
             self.waiting_for = str(error)
         moving = [edge for edge in self._tree.edges if not edge.static]
         for edge in moving:
-            # Before the chain is known, no more than so many, as of each object that is tracked.
-            if self._is_needless(edge.child) or (
-                    not self._chain and len(moving) > _MOST_MOVING):
+            # Bounds the memory before the chain is known: /tf may have a frame per tracked object.
+            if self._is_irrelevant(edge.child) or (
+                    not self._chain and len(moving) > _MAX_MOVING):
                 self._tree.drop(edge)
         refused = sum((edge.new_refusals() for edge in self._chain), start=np.zeros(3, np.int64))
         return stamps_ns, poses, refused
 
-    def _is_needless(self, child: str, *, static: bool = False) -> bool:
-        """Tell a transform that is none of the known chain, and no second parent in it."""
-        # Static ones may be of another chain, after a restart.
+    def _is_irrelevant(self, child: str, *, static: bool = False) -> bool:
+        """Return whether a transform cannot affect the known chain, not even as second parent."""
+        # Static ones are kept: after a restart the chain may be another.
         return not static and bool(self._chain) and child.lstrip('/') not in self._children
 
     def _compose(self, links: Sequence[Link]) -> tuple[NDArray[np.int64], FloatArray]:
-        """Return what is new of a chain; raise TopicError where nothing moves yet."""
+        """Return the new stamps and poses of a chain; raise TopicError if nothing moves yet."""
         if self._stamps_of is None:
             edge = stamp_edge(links)
-            # Until then it may be another one that changes most often.
+            # Before that, another edge may turn out to change most often.
             if edge.changes < 5:
                 raise TopicError(f'{edge} has hardly moved yet')
             self._stamps_of = edge
         stamps_ns, poses = _compose(links, self._stamps_of, [])
-        new = stamps_ns > self._given_ns
+        new = stamps_ns > self._last_stamp_ns
         stamps_ns, poses = stamps_ns[new], poses[new]
         if len(stamps_ns):
             self.waiting_for = ''
-            self._given_ns = int(stamps_ns[-1])
+            self._last_stamp_ns = int(stamps_ns[-1])
             for edge in self._chain:
-                edge.forget_before(self._given_ns)
-        elif silent := self._silent():
+                edge.forget_before(self._last_stamp_ns)
+        elif silent := self._silent_edges():
             raise TopicError(f'{silent} is silent: does its sender run?')
         return stamps_ns, poses
 
-    def _silent(self) -> str:
-        """Return the edges of the chain that gave nothing for longer than one can interpolate."""
+    def _silent_edges(self) -> str:
+        """Return the edges of the chain whose last transform is older than a gap, in words."""
         moving = {edge: edge.samples[0] for edge in self._chain if not edge.static}
         newest_ns = max(int(stamps_ns[-1]) for stamps_ns in moving.values())
         return ', '.join(sorted(
@@ -266,32 +265,32 @@ class ChainFollower:
 
 
 def names_frames(name: str) -> bool:
-    """Tell ``tf:PARENT.CHILD``, or as evo has it ``/tf:PARENT.CHILD``, from a topic."""
+    """Return whether a name is ``tf:PARENT.CHILD``, or ``/tf:PARENT.CHILD`` as in evo."""
     return name.removeprefix('/').startswith(TF_PREFIX)
 
 
 def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
     """Return the two frames of ``tf:PARENT.CHILD``.
 
-    A name of a frame may hold dots itself: then the frames that exist tell where to part it.
-    Raise ConfigError for less than two names, or several ways to part them.
+    If frame names contain dots, the existing ``frames`` determine where to split. Raise
+    ConfigError for less than two names, or an ambiguous split.
     """
     words = name.removeprefix('/').removeprefix(TF_PREFIX).split('.')
-    ways = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
+    splits = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
             for k in range(1, len(words))]
-    ways = [way for way in ways if all(way)]
-    if len(ways) > 1:
-        ways = [way for way in ways if {*way} <= {*frames}] or ways
-    if len(ways) != 1:
+    splits = [split for split in splits if all(split)]
+    if len(splits) > 1:
+        splits = [split for split in splits if {*split} <= {*frames}] or splits
+    if len(splits) != 1:
         raise ConfigError(f'{name!r} does not name two frames; needed tf:PARENT.CHILD, for '
                           'instance tf:map.base_link')
-    return ways[0]
+    return splits[0]
 
 
 def stamp_edge(links: Sequence[Link]) -> Edge:
-    """Return the edge of a chain whose stamps the poses get: the one that changes most often.
+    """Return the edge of a chain that gives the stamps: the one that changes most often.
 
-    Raise TopicError where nothing moves between the two frames, or of an edge nothing can be used.
+    Raise TopicError if nothing moves between the two frames, or an edge has no usable transform.
     """
     for edge, _ in links:
         if not len(edge.samples[0]):
@@ -303,7 +302,7 @@ def stamp_edge(links: Sequence[Link]) -> Edge:
         chain = ', '.join(str(link.edge) for link in links)
         raise TopicError(f'nothing moves between these frames: {chain} never changed; name a pair '
                          'of frames that move in relation to each other')
-    # Of several that change about as often, the one next to the child.
+    # Of several that change about equally often, the one nearest to the child.
     return [edge for edge, count in changes.items() if count >= 0.8 * most][-1]
 
 
@@ -316,13 +315,13 @@ def _compose(
     for edge, downwards in links:
         own_ns, poses = sampled[edge]
         if edge.static:
-            moved = matrices(poses[-1:])
+            T_step = matrices(poses[-1:])
         else:
-            moved, holds = interpolated(own_ns, poses, stamps_ns)
-            lost = np.count_nonzero(keep & ~holds)
+            T_step, valid = interpolated(own_ns, poses, stamps_ns)
+            lost = np.count_nonzero(keep & ~valid)
             if lost:
                 notes.append(f'left out {lost} of {counted(int(np.count_nonzero(keep)), "pose")}: '
                              f'{edge} has no transform at their time')
-            keep &= holds
-        result = result @ (moved if downwards else se3.inverse(moved))
+            keep &= valid
+        result = result @ (T_step if downwards else se3.inverse(T_step))
     return stamps_ns[keep], result[keep]

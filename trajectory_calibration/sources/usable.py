@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the poses that a file or a topic holds can serve, and the trajectory they make."""
+"""Drop the unusable poses of a file or a topic, and make a trajectory of the others."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from trajectory_calibration.geometry.se3 import FloatArray
 
 @dataclass(eq=False)
 class UsablePoses:
-    """Poses of which those go that cannot serve.
+    """Poses, and which of them are usable.
 
     Attributes
     ----------
     name : of the file or the topic, for messages.
-    rows : what it holds, in words: 3 rows.
+    rows : number of rows in words, '3 rows', for messages.
     poses : (N, 7), x, y, z (m), qx, qy, qz, qw; or (N, 4, 4) matrices.
-    findings : what was repaired or left out.
-    of_one : whether all of the poses are of one sensor; what goes is then said as a share.
-    keep : (N,), which of them can serve.
+    findings : repairs and dropped poses.
+    of_one : whether all poses are of one sensor, so that findings give N as well.
+    keep : (N,), which poses are usable.
 
     """
 
@@ -41,7 +41,7 @@ class UsablePoses:
         self.keep = np.ones(len(self.poses), dtype=bool)
 
     def drop(self, bad: NDArray[np.bool_], why: str, code: str = 'poses-lost') -> None:
-        """Leave out some of the (N,) poses, and say ``why``."""
+        """Drop the poses of the (N,) mask, and add a finding with the reason ``why``."""
         count = int(np.count_nonzero(bad & self.keep))
         if count:
             share = f'{count:,} of ' if self.of_one else ''
@@ -53,9 +53,10 @@ class UsablePoses:
         self, stamps_ns: NDArray[np.int64], world: str, sensor: str,
         advice: str = 'write them with nine decimals (%.9f)',
     ) -> Trajectory:
-        """Make a trajectory of the poses at their (N,) times, without those a lost SLAM wrote.
+        """Return the trajectory of the usable poses; ``stamps_ns`` are (N,).
 
-        Raise SourceError where too few are left, or many share their time; ``advice`` mends that.
+        Identities that a lost SLAM wrote are dropped, too. Raise SourceError if fewer than two
+        poses are left, or many have equal times; ``advice`` is the remedy for equal times.
         """
         lost = np.zeros(len(self.keep), dtype=bool)
         lost[self.keep] = lost_as_identity(self.poses[self.keep])
@@ -80,9 +81,9 @@ class UsablePoses:
 def _require_own_stamps(
     stamps_ns: NDArray[np.int64], poses: FloatArray, name: str, advice: str,
 ) -> None:
-    """Raise SourceError where many poses share their time with another pose.
+    """Raise SourceError if many poses have the time of another, different pose.
 
-    ``poses`` are (N, ...) numbers. Rows that are repeated as a whole are harmless.
+    ``poses`` are (N, ...) numbers. Exact duplicates of a row are harmless.
     """
     run = longest_run(stamps_ns)
     stamps_ns, poses = stamps_ns[run], poses[run]
