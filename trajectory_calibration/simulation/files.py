@@ -56,13 +56,9 @@ def write_bag(
 ) -> None:
     """Write a rosbag2: one topic per trajectory, messages in the order of their stamps.
 
-    Parameters
-    ----------
-    path : folder of the bag, which must not exist.
-    trajectories : by topic.
-    message, storage : one of ``MESSAGES``, one of ``STORAGES``; else ConfigError is raised.
-
-    Raises SourceError if the bag cannot be written.
+    ``path`` is the folder of the bag, which must not exist; ``trajectories`` are by topic.
+    Raises ConfigError if ``message`` is not in ``MESSAGES`` or ``storage`` not in ``STORAGES``,
+    SourceError if the bag cannot be written.
     """
     for what, given, known in (('message', message, MESSAGES), ('storage', storage, STORAGES)):
         if given not in known:
