@@ -60,12 +60,12 @@ def test_a_recording_that_is_given_twice_counts_once(drives, tmp_path, capsys):
     fleet = 'fleet', f'{tmp_path}/in/*', *FAST, '--output', tmp_path / 'out'
     status, _, err = run(capsys, *fleet)
     assert status == 1
-    assert 'tuesday: the recording of monday again, counted once' in err
+    assert 'tuesday: same recording as monday, counted once' in err
     shutil.copytree(drives / 'drive1', tmp_path / 'in' / 'wednesday')
     status, out, _ = run(capsys, *fleet)
     assert status == 0
     assert out.splitlines()[0].startswith('AGREE: 2 answers')
-    assert out.splitlines()[1] == 'tuesday: the recording of monday again, counted once'
+    assert out.splitlines()[1] == 'tuesday: same recording as monday, counted once'
 
 
 def test_overlapping_patterns_name_a_recording_once(drives):

@@ -96,10 +96,10 @@ def test_a_recording_that_is_given_twice_counts_once(result):
     assert (found.chi_squared, found.degrees_of_freedom) == (
         alone.chi_squared, alone.degrees_of_freedom)
     assert found.describe() == [
-        *alone.describe(), 'copy: the recording of fleet0 again, counted once']
+        *alone.describe(), 'copy: same recording as fleet0, counted once']
     assert [line.split()[:2] for line in to_text(found).splitlines()][-3] == ['copy', 'repeated']
-    assert 'the recording of fleet0 again' in fleet_page(found)
-    with pytest.raises(ResultError, match='to compare; again: the recording of fleet0'):
+    assert 'same recording as fleet0' in fleet_page(found)
+    with pytest.raises(ResultError, match='to compare; again: same recording as fleet0'):
         compare([entries[0], Entry('again', entries[0].result)])
     # What older versions saved does not say of which recording it is.
     unknown = [Entry(item.name, dataclasses.replace(item.result, recording=None))

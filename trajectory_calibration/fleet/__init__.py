@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Many recordings of the same sensors: does an extrinsic hold, and when did a sensor move."""
+"""Many recordings of the same sensors: whether an extrinsic holds, and when a sensor moved."""
 
 from trajectory_calibration.fleet.comparison import compare, Comparison, Entry
 from trajectory_calibration.fleet.verification import Verification, verify

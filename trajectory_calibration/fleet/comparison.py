@@ -1,13 +1,13 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Many answers for one pair of sensors: one truth, or did a sensor move, and when.
+"""Change detection over many calibrations of one pair of sensors.
 
-The answers, in the order of their dates, are split into stretches within which they agree: the
-split that minimises the sum of chi-squared about the mean of each stretch plus a penalty for each
-change, found by dynamic programming (B. Jackson et al., "An algorithm for optimal partitioning of
+The answers, in the order of their dates, are split into stretches within which they agree. The
+split minimises the sum of chi-squared about the mean of each stretch plus a penalty per change.
+It is found by dynamic programming (B. Jackson et al., "An algorithm for optimal partitioning of
 data on an interval", IEEE Signal Processing Letters 12(2), 2005, doi:10.1109/LSP.2001.838216).
-The penalty is the chi-squared that chance exceeds at any of the possible changes with the stated
-probability. A mean is formed within a stretch only.
+The penalty is a quantile of chi-squared: it bounds the probability of a false change at any of
+the possible places. A mean is formed within a stretch only.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM,
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 
-# The year 2000: clocks that were never set begin in 1970, or with GPS in 1980.
+# The year 2000: clocks that were never set start in 1970, GPS time in 1980.
 _FIRST_DATE_NS = 946_684_800 * 10**9
 
 _Sums = tuple[FloatArray, FloatArray, FloatArray]
@@ -46,14 +46,14 @@ _Sums = tuple[FloatArray, FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One answer of many.
+    """The answer of one recording.
 
     Attributes
     ----------
     name : of the bag or file.
-    result : what was found, or None.
-    failure : why there is none, else ''.
-    repeated : whether that is because an earlier answer is of the same recording.
+    result : the calibration, or None.
+    failure : the reason if ``result`` is None, else ''.
+    repeated : whether the reason is that an earlier answer is of the same recording.
 
     """
 
@@ -65,12 +65,12 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Answers in a row that agree.
+    """Consecutive answers that agree.
 
     Attributes
     ----------
     names : of the answers.
-    T_a_b : (4, 4), their mean, weighted by their covariances.
+    T_a_b : (4, 4), their mean, weighted by the inverse covariances.
     covariance : (6, 6), of the mean.
 
     """
@@ -82,15 +82,15 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What many answers say together.
+    """The comparison of many answers.
 
     Attributes
     ----------
     entries : all, by date.
-    stretches : of the answers, split at each change; empty where no mean can be formed.
+    stretches : consecutive answers that agree; empty if no mean can be formed.
     changes : the difference from each stretch to the next.
     chi_squared, degrees_of_freedom : of all answers about one common mean.
-    noise_ratio : how many times the errors exceed their stated deviations, at least 1.
+    noise_ratio : ratio of the scatter to the stated standard deviations, at least 1.
 
     """
 
@@ -103,17 +103,17 @@ class Comparison:
 
     @property
     def exit_status(self) -> int:
-        """Return 0 where the answers agree, 4 where they do not."""
+        """Return 0 if the answers agree, else 4."""
         return CHANGED if self.changes or not self.stretches else DONE
 
     @property
     def probability(self) -> float:
-        """Return the probability that answers of one truth scatter as much."""
+        """Return the p-value of the hypothesis that all answers are of one extrinsic."""
         return exceedance(self.chi_squared, self.degrees_of_freedom)
 
     @property
     def spans(self) -> list[tuple[str, str]]:
-        """Return the names before and after each change, in short."""
+        """Return the abbreviated names of the stretches before and after each change."""
         return list(pairwise(span_of(item.names) for item in self.stretches))
 
     def describe(self) -> list[str]:
@@ -128,18 +128,19 @@ class Comparison:
         if not self.stretches:
             lines.append(
                 f'CONTRADICTION: the {answers} answers scatter {self.noise_ratio:.1f} times '
-                f'as much as their deviations say ({ratio}), and no single change explains it. '
-                'Different vehicles, or wrong settings in some? No mean is formed')
+                f'as much as their standard deviations ({ratio}), and no single change explains '
+                'it. Different vehicles, or wrong settings in some? No mean is formed')
         if len(self.stretches) == 1:
             lines.append(f'AGREE: {answers} answers are of one extrinsic ({ratio})')
         if self.stretches and self.noise_ratio > 1.5:
             lines.append(
-                f'deviations enlarged {self.noise_ratio:.1f} times: so much do neighbours scatter')
+                f'standard deviations enlarged {self.noise_ratio:.1f} times: successive answers '
+                'scatter that much')
         lines += [f'{entry.name}: {entry.failure}' for entry in self.entries if entry.repeated]
         undated = answers - sum(_minute(entry) is not None for entry in self.entries)
         if 0 < undated < answers:
             lines.append(f'{undated} of {answers} without a date (a clock that was not set?): '
-                         'left where they were given')
+                         'they keep their place in the given order')
         failed = sum(entry.result is None and not entry.repeated for entry in self.entries)
         if failed:
             lines.append(f'{failed} of {len(self.entries)} gave no answer')
@@ -175,7 +176,7 @@ COLUMNS = (
 
 
 def row(entry: Entry) -> dict[str, Any]:
-    """Return one line of the table, by ``COLUMNS``; None where there is no answer."""
+    """Return one row of the table, by ``COLUMNS``; cells without a value are None."""
     cells: dict[str, Any] = dict.fromkeys(COLUMNS)
     cells.update(name=entry.name, failure=entry.failure)
     result = entry.result
@@ -184,7 +185,7 @@ def row(entry: Entry) -> dict[str, Any]:
         cells.update(zip(COLUMNS[2:14], np.concatenate([
             result.T_a_b[:3, 3], np.rad2deg(se3.roll_pitch_yaw(result.T_a_b[:3, :3])),
             std[:3], np.rad2deg(std[3:])]).tolist(), strict=True))
-        # An arbitrary number is none; every angle has part in an unobserved rotation.
+        # Unobservable values are left out; an unobservable rotation axis affects all three angles.
         for name in result.observability.unobserved:
             cells.update({f'{name}_m': None} if name in 'xyz' else dict.fromkeys(COLUMNS[5:8]))
         cells.update(
@@ -197,13 +198,13 @@ def row(entry: Entry) -> dict[str, Any]:
 
 
 def compare(entries: Sequence[Entry]) -> Comparison:
-    """Compare answers.
+    """Compare answers and find the changes between them.
 
     Parameters
     ----------
     entries : sequence of Entry
-        Sorted by their dates here. Those of one minute keep their order, one without a date
-        stays behind the one before it.
+        In any order: they are sorted by date here. Entries of the same minute keep their order;
+        an entry without a date stays behind its predecessor.
 
     Raises
     ------
@@ -211,7 +212,7 @@ def compare(entries: Sequence[Entry]) -> Comparison:
         Fewer than two answers, or answers for different frames.
 
     """
-    ordered = _each_recording_once(_by_date(entries))
+    ordered = _without_repeated(_by_date(entries))
     answers = [(entry.name, entry.result) for entry in ordered if entry.result is not None]
     if len(answers) < 2:
         again = ''.join(
@@ -228,14 +229,14 @@ def compare(entries: Sequence[Entry]) -> Comparison:
         raise ResultError('an answer has no covariance to compare with; calibrate again')
     config = results[0].config
     covariances = [floored(np.asarray(result.covariance)) for result in results]
-    # A radian counts as a metre here.
+    # The reference of the steps: the most precise answer, with a radian weighted like a metre.
     base = results[int(np.argmin([np.trace(P) for P in covariances]))].T_a_b
     limits = limits_of(config)
     steps = np.array([aligned_step(base, result.T_a_b, P, limits)
                       for result, P in zip(results, covariances, strict=True)])
     noise_ratio = _noise_ratio(results, covariances)
     sums = _running_sums(steps, np.linalg.inv(np.array(covariances)) / noise_ratio**2)
-    # Half of what is stated: the other half goes to the single axes of each change.
+    # Half of the false-alarm probability; the other half is for the single axes of each change.
     penalty = quantile(6, 0.5 * FALSE_ALARM / (len(results) - 1))
     edges = _partition(sums, penalty)
     chi_squared = float(_mean(sums, 0, len(results))[2]) * noise_ratio**2
@@ -248,7 +249,7 @@ def compare(entries: Sequence[Entry]) -> Comparison:
         difference((one.T_a_b, one.covariance), (two.T_a_b, two.covariance), config,
                    FALSE_ALARM / (len(results) - 1))
         for one, two in pairwise(stretches))
-    # Errors beyond twice their stated deviations are no noise: no mean is formed.
+    # A scatter beyond twice the stated standard deviations is no noise: no mean is formed.
     if noise_ratio > 2 and not changes:
         stretches = []
     return Comparison(tuple(ordered), tuple(stretches), changes, chi_squared, max(dof, 1),
@@ -264,42 +265,47 @@ def _by_date(entries: Sequence[Entry]) -> list[Entry]:
 
 
 def _minute(entry: Entry) -> int | None:
-    """Return when an answer's data begin, minutes since 1970; None where no clock said it."""
+    """Return the start of an answer's data, minutes since 1970; None without a valid date."""
     start_ns = None if entry.result is None else entry.result.start_ns
     return None if start_ns is None or start_ns < _FIRST_DATE_NS else start_ns // (60 * 10**9)
 
 
-def _each_recording_once(entries: Sequence[Entry]) -> list[Entry]:
-    """Return the entries without the answers that share all errors with an earlier one."""
+def _without_repeated(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries with no result if an earlier one is of the same recording.
+
+    The errors of both are the same, so the second one is no independent evidence.
+    """
     first: dict[tuple[str, str, str], Entry] = {}
-    kept = []
+    unique = []
     for entry in entries:
-        found, earlier = entry.result, entry
-        if found is not None and found.recording is not None:
-            earlier = first.setdefault((found.frame_a, found.frame_b, found.recording), entry)
-        kept.append(entry if earlier is entry else Entry(
-            entry.name, None, f'the recording of {earlier.name} again, counted once',
-            repeated=True))
-    return kept
+        result, earlier = entry.result, entry
+        if result is not None and result.recording is not None:
+            earlier = first.setdefault((result.frame_a, result.frame_b, result.recording), entry)
+        unique.append(entry if earlier is entry else Entry(
+            entry.name, None, f'same recording as {earlier.name}, counted once', repeated=True))
+    return unique
 
 
 def _noise_ratio(
     results: Sequence[CalibrationResult], covariances: Sequence[FloatArray],
 ) -> float:
-    """Return how many times neighbours differ by more than their deviations say, at least 1."""
-    # Fewer neighbours do not say how large the errors really are.
+    """Return the ratio of the differences of successive answers to their std, at least 1."""
+    # Too few answers to estimate their scatter.
     if len(results) < 6:
         return 1.0
     ratios = []
     for one, two in pairwise(zip((result.T_a_b for result in results), covariances, strict=True)):
         step = difference(one, two, results[0].config)
         ratios.append(step.chi_squared / quantile(step.degrees_of_freedom, 0.5))
-    # A few changes do not move the median.
+    # The median is robust against a few changes.
     return float(np.sqrt(max(1.0, np.median(ratios))))
 
 
 def _running_sums(steps: FloatArray, information: FloatArray) -> _Sums:
-    """Return the sums of the first k of (N, 6, 6) information, of it times steps, of squares."""
+    """Return cumulative sums for (N, 6) steps x with (N, 6, 6) information matrices W.
+
+    Of W, (N + 1, 6, 6), of W x, (N + 1, 6), and of x^T W x, (N + 1,); each starts with zero.
+    """
     weighted = np.einsum('kij,kj->ki', information, steps)
     squares = np.einsum('ki,ki->k', weighted, steps)
     one, two, three = (
@@ -309,9 +315,9 @@ def _running_sums(steps: FloatArray, information: FloatArray) -> _Sums:
 
 
 def _mean(sums: _Sums, start: int | NDArray[np.intp], end: int) -> _Sums:
-    """Return the (6,) mean of the steps [start, end), its covariance, and their chi-squared.
+    """Return the (6,) mean of the steps [start, end), its (6, 6) covariance, and chi-squared.
 
-    Of each start, where several are given.
+    With (M,) starts, each has a leading dimension of M.
     """
     information, weighted, squares = (each[end] - each[start] for each in sums)
     P = np.linalg.inv(information)
@@ -334,13 +340,13 @@ def _partition(sums: _Sums, penalty: float) -> list[int]:
 
 
 def span_of(names: Sequence[str]) -> str:
-    """Return several names in short: 'fleet0-7' for fleet0 ... fleet7."""
+    """Return several names abbreviated: 'fleet0-7' for fleet0 ... fleet7."""
     if len(names) == 1:
         return names[0]
     first, last = names[0], names[-1]
-    found = [re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in names]
-    ends = {(item[1], item[3]) for item in found if item}
-    numbers = [item[2] for item in found if item]
+    matches = [re.fullmatch(r'(.*?)(\d+)(\D*)', name) for name in names]
+    ends = {(match[1], match[3]) for match in matches if match}
+    numbers = [match[2] for match in matches if match]
     if len(ends) == 1 and len(numbers) == len(names) and (
             numbers == sorted({*numbers}, key=int)):
         ((before, after),) = ends
@@ -349,7 +355,7 @@ def span_of(names: Sequence[str]) -> str:
 
 
 def short_names(paths: Sequence[str]) -> list[str]:
-    """Return names that tell paths apart: their last part, or what is left of the common ends."""
+    """Return unique short names for paths: the file names, the folder names, or the paths."""
     stems = [re.sub(r'(?<=.)(\.(ya?ml|mcap|db3|bag|tum))+$', '', path.rstrip('/'))
              for path in paths]
     names = [Path(stem).name for stem in stems]

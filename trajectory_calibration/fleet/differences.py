@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How far apart two answers are, in view of what each of them knows."""
+"""The difference of two extrinsics, tested against their covariances."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ AXES = ('along x', 'along y', 'along z', 'about x', 'about y', 'about z')
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """The step from one extrinsic to another, tested against the covariance of both.
+    """The step from one extrinsic to another, tested against both covariances.
 
     Attributes
     ----------
-    step : (6,) metres and radians along and about the axes of a, as ``geometry.se3.moved``
-        takes it; directions that are unobserved in either are left out of it.
-    std : (6,) its standard deviations, metres and radians.
-    chi_squared, degrees_of_freedom : of all directions that both know.
-    testable : (6,) bool, the axes that both know; along the others nothing is known of a shift.
-    weak : (6,) bool, of those, the ones along which only a large shift is noticed.
-    resolution : (6,) metres and radians, the shift along each axis that is noticed in 95 % of
+    step : (6,) metres and radians along and about the axes of a, for ``geometry.se3.moved``;
+        without the directions that are unobservable in one of the two.
+    std : (6,) standard deviations of the step, metres and radians.
+    chi_squared, degrees_of_freedom : of all directions that are observable in both.
+    testable : (6,) bool, the axes that are observable in both.
+    weak : (6,) bool, the testable axes along which only a large shift is detected.
+    resolution : (6,) metres and radians, the shift along each axis that is detected in 95 % of
         the cases.
-    differs : whether chance explains the step, at the probability that was given.
-    named : the axes that show it, the clearest first.
+    differs : whether the step is significant at the given probability of a false alarm.
+    named : indices of the significant axes, the most significant first.
 
     """
 
@@ -54,12 +54,12 @@ class Difference:
 
     @property
     def sigma(self) -> float:
-        """Return the largest step in standard deviations."""
+        """Return the largest component of the step in standard deviations."""
         return float(np.max(np.abs(self.step) / self.std))
 
     @property
     def probability(self) -> float:
-        """Return the probability that chance alone makes a step of this chi-squared."""
+        """Return the p-value: the probability of a larger chi-squared for equal extrinsics."""
         return exceedance(self.chi_squared, self.degrees_of_freedom)
 
     def describe(self) -> str:
@@ -67,7 +67,7 @@ class Difference:
         return f'{describe_step(self.step, self.named)} ({in_sigmas(self.sigma)} sigma)'
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data with the unit in each name."""
+        """Return plain data for JSON, with the unit in each name."""
         return {
             **in_units('step_', self.step),
             **in_units('std_', self.std),
@@ -85,28 +85,28 @@ def difference(
     config: CalibrationConfig,
     probability: float = FALSE_ALARM,
 ) -> Difference:
-    """Compare two answers, a (4, 4) extrinsic and a (6, 6) covariance each, that are independent.
+    """Compare two independent answers, each a (4, 4) extrinsic and a (6, 6) covariance.
 
-    The limits of ``config`` say what is unobserved and what is weak;
-    with ``probability`` equal extrinsics are called different.
+    ``config`` has the limits of unobservable and weak directions; ``probability`` is that of a
+    false alarm for equal extrinsics.
     """
     (T_0, P_0), (T_1, P_1) = start, end
     P = floored(P_0) + floored(P_1)
-    # The difference of two answers that are both just known is just known.
+    # The variances add up: if both answers are at the limit, so is their difference.
     limits = np.sqrt(2.0) * limits_of(config)
     weak_limit = np.sqrt(2.0) * np.repeat(
         [config.weak_translation, np.deg2rad(config.weak_rotation)], 3)
     step = aligned_step(T_0, T_1, P, limits)
     chi_squared, dof = misfit(step, P, limits)
     std = np.sqrt(np.diagonal(P))
-    # Half of the false alarms go to all directions together, half to the single axes.
+    # Half of the false-alarm probability is for the joint test, half for the six single axes.
     limit = np.sqrt(quantile(1, 0.5 * probability / 6))
     testable = std <= limits
     alone = testable & (np.abs(step) > limit * std)
     differs = bool(alone.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
     order = np.argsort(-np.abs(step) / std)
     named = tuple(int(k) for k in order if alone[k]) or tuple(map(int, order[:1]))
-    # As resolution is stated what would be noticed in 95 % of cases.
+    # For detection in 95 % of the cases: one-sided, hence 0.1.
     power = quantile(1, 0.1)**0.5
     return Difference(
         step, std, chi_squared, max(dof, 1), testable, testable & (std > weak_limit),
@@ -116,24 +116,25 @@ def difference(
 def aligned_step(
     T_0: FloatArray, T_1: FloatArray, covariance: FloatArray, limits: FloatArray,
 ) -> FloatArray:
-    """Move T_1 along what its covariance leaves unobserved until it is as near to T_0 as it gets.
+    """Move T_1 along its unobservable directions as close to T_0 as possible.
 
-    Returns the (6,) step to it; a direction is unobserved from the (6,) limits on.
+    Returns the remaining (6,) step; a direction is unobservable beyond the (6,) limits, metres
+    and radians.
     """
     unobserved = unobserved_directions(covariance, limits)
     step = se3.step_between(T_0, T_1)
-    # The other axes turn with what an unobserved rotation happens to be.
+    # Iterated, because an arbitrary rotation about an unobservable axis changes the other axes.
     for _ in range(10):
-        way = along(unobserved, step, limits)
-        if np.abs(way / limits).max() < 1e-9:
+        correction = along(unobserved, step, limits)
+        if np.abs(correction / limits).max() < 1e-9:
             break
-        T_1 = se3.moved(T_1, -way)
+        T_1 = se3.moved(T_1, -correction)
         step = se3.step_between(T_0, T_1)
     return step
 
 
 def floored(covariance: FloatArray) -> FloatArray:
-    """Return a (6, 6) covariance that has an inverse, also where a prior fixes a component."""
+    """Return an invertible (6, 6) covariance, also if a prior fixes a component."""
     return covariance + se3.ROUNDING * np.eye(6)
 
 
@@ -143,7 +144,7 @@ def in_units(name: str, values: FloatArray) -> dict[str, list[float]]:
 
 
 def describe_step(step: FloatArray, axes: Iterable[int], sign: str = '+') -> str:
-    """Return a (6,) step in words, translations first; a length with the sign '-'."""
+    """Return the given axes of a (6,) step as text; the sign '-' shows lengths without '+'."""
     return ', '.join(
         f'{step[k]:{sign}.3f} m {AXES[k]}' if k < 3 else
         f'{np.rad2deg(step[k]):{sign}.2f} deg {AXES[k]}' for k in sorted(axes))

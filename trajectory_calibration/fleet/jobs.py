@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings to calibrate, each by itself: which they are, and their results on disk.
+"""Jobs: recordings to calibrate independently, and their results on disk.
 
-A job that has a result file is done: a run that was killed goes on where it was.
+A job with a result file is done: a run that was interrupted continues with the others.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ from trajectory_calibration.sources.storage import natural_key
 from trajectory_calibration.sources.text import BAG_SUFFIXES
 from trajectory_calibration.version import __version__
 
-# Of a fingerprint, and the bytes of a file that have part in it.
-_DIGITS, _BEGINNING = 8, 65_536
+# Digits of a fingerprint, and the number of bytes of each file that it depends on.
+_DIGITS, _HASHED_BYTES = 8, 65_536
 
-# What one job may say, and all of them together beside the list of jobs; how to read a and b.
-_OF_JOB = ('a', 'b', 'bag', 'name', 'config')
-_KEYS = (*_OF_JOB, *(f'{item.name}_{sensor}' for item in fields(InputOptions) for sensor in 'ab'))
+# Keys of a job, also valid beside the list of jobs as defaults; then the input options of a and b.
+_JOB_KEYS = ('a', 'b', 'bag', 'name', 'config')
+_KEYS = (
+    *_JOB_KEYS, *(f'{item.name}_{sensor}' for item in fields(InputOptions) for sensor in 'ab'))
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class Job:
     ----------
     name : of its result.
     a, b : files, or topics or ``tf:PARENT.CHILD`` of the bags.
-    bags : paths; empty where a and b are files.
-    config : how to calibrate.
+    bags : paths; empty if a and b are files.
+    config : settings of the calibration.
     options_a, options_b : how to read a and b.
 
     """
@@ -69,29 +70,29 @@ class Job:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Return 8 digits that change with the settings, the inputs and the version.
+        """Return 8 digits that depend on the settings, the inputs and the version.
 
-        Not with where the inputs lie, nor with the name, which may depend on the other jobs.
+        They do not depend on the folder of the inputs, nor on the name, which other jobs affect.
         """
         options = self.options_a, self.options_b
         topics = (self.a, self.b) if self.bags else ()
-        told = []
+        files = []
         for path in map(Path, (*(self.bags or (self.a, self.b)),
                                *(item.times for item in options if item.times))):
             for item in sorted(path.iterdir()) if path.is_dir() else [path]:
-                # What cannot be read has no result either.
+                # A file that cannot be read gives no result that needs a fingerprint.
                 with suppress(OSError), item.open('rb') as stream:
                     stat = item.stat()
-                    told.append((item.name, stat.st_size, stat.st_mtime_ns,
-                                 crc32(stream.read(_BEGINNING))))
-        said = json.dumps([
+                    files.append((item.name, stat.st_size, stat.st_mtime_ns,
+                                  crc32(stream.read(_HASHED_BYTES))))
+        text = json.dumps([
             topics, asdict(self.config), *(asdict(replace(item, times=None)) for item in options),
-            told, __version__], sort_keys=True)
-        return hashlib.sha256(said.encode()).hexdigest()[:_DIGITS]
+            files, __version__], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
     @property
     def file_name(self) -> str:
-        """Return the name of the file of its result."""
+        """Return the name of the result file."""
         return f'{self.name}-{self.fingerprint}.yaml'
 
 
@@ -101,10 +102,10 @@ def read_jobs(
     """Return the jobs of a YAML file, or one for each bag or folder that patterns match.
 
     ``specifications`` are one file ``*.yaml`` with a list ``jobs``, or paths and patterns of bags,
-    or of folders that hold the files ``a`` and ``b``. These two are topics, or names of files; in
-    a YAML file ``a`` and ``b`` beside the jobs, or of one job, come first. ``config`` is for all,
-    changed by ``config`` in the YAML file, then by that of a job. Raises ConfigError: no jobs, a
-    key that is unknown, or sensors that are not named.
+    or of folders with the files ``a`` and ``b``. ``a`` and ``b`` are topics or file names; those
+    of the YAML file and of a job override them. ``config`` is for all jobs; ``config`` of the
+    YAML file, then that of the job override it. Raises ConfigError if there are no jobs, a key
+    is unknown, or a sensor is not named.
     """
     if len(specifications) == 1 and Path(specifications[0]).suffix in ('.yaml', '.yml'):
         jobs = _from_yaml(Path(specifications[0]), a, b, config)
@@ -118,7 +119,7 @@ def read_jobs(
 
 def _expand(pattern: str) -> list[str]:
     found = sorted(glob.glob(pattern, recursive=True), key=natural_key)  # noqa: PTH207
-    # A path that does not exist is a recording without an answer, a pattern without a match none.
+    # A missing path is kept, to be reported as a recording without an answer.
     return found or ([] if glob.has_magic(pattern) else [pattern])
 
 
@@ -160,13 +161,13 @@ def _from_yaml(
 
 
 def _check(given: Mapping[Any, Any], path: Path) -> None:
-    """Raise ConfigError where a key of a job is unknown, or its value of the wrong kind."""
+    """Raise ConfigError if a key of a job is unknown, or its value of the wrong type."""
     for key, value in given.items():
         if key not in _KEYS:
             raise ConfigError(unknown_name(f'{path}: key', key, _KEYS))
         kind, needed = (Mapping, 'settings by name') if key == 'config' else (str, 'a text')
         for item in value if key == 'bag' and isinstance(value, list) else [value]:
-            if key in _OF_JOB and item is not None and (
+            if key in _JOB_KEYS and item is not None and (
                     not isinstance(item, kind) or '\0' in item):
                 raise ConfigError(f'{path}: {key} is {value!r}, needed {needed}')
 
@@ -175,12 +176,12 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
     bags = given.get('bag') or []
     bags = [str(folder / bag) for bag in ([bags] if isinstance(bags, str) else bags) if bag]
     a, b = given['a'], given['b']
-    where = given.get('name') or ' '.join(bags) or folder
+    label = given.get('name') or ' '.join(bags) or folder
     if a is None or b is None:
-        raise ConfigError(f'{where}: a and b are not named; give --a and --b, topics of a bag or '
+        raise ConfigError(f'{label}: a and b are not named; give --a and --b, topics of a bag or '
                           'names of files in a folder')
     if a == b:
-        raise ConfigError(f'{where}: A and B are both {a}; needed two sensors')
+        raise ConfigError(f'{label}: A and B are both {a}; needed two sensors')
     if not bags:
         a, b = (str(folder / name) for name in (a, b))
     return Job(given.get('name') or '', a, b, tuple(bags), given['config'], *(
@@ -188,7 +189,7 @@ def _from_mapping(folder: Path, given: Mapping[str, Any]) -> Job:
 
 
 def _names(jobs: Sequence[Job]) -> list[str]:
-    """Return names for files; of the jobs without one, those that tell them apart."""
+    """Return unique file names for the jobs, made from their names or else their paths."""
     paths = [job.bags[0] if job.bags else job.a for job in jobs]
     short = {path: path for path, job in zip(paths, jobs, strict=True) if not job.name}
     short = dict(zip(short, short_names([*short]), strict=True))
@@ -197,19 +198,19 @@ def _names(jobs: Sequence[Job]) -> list[str]:
 
 
 def calibrate_job(job: Job) -> tuple[dict[str, Any] | None, str]:
-    """Return the result of one job as plain data, or the reason why there is none."""
+    """Return the result of one job as plain data, or None and the reason."""
     inputs = {'sensor_a': (job.a, job.options_a), 'sensor_b': (job.b, job.options_b)}
     try:
         a, b = load_inputs(inputs, job.bags).values()
         return calibrate(a, b, job.config).to_dict(), ''
     except Exception as error:  # noqa: BLE001
-        # One broken bag of many must not end the others, whatever breaks in its reader.
+        # Any error: one broken bag must not stop the other jobs.
         kind = '' if isinstance(error, CalibrationError) else f'{type(error).__name__}: '
         return None, kind + ' '.join(str(error).split())
 
 
 def results_of_others(folder: Path, jobs: Sequence[Job]) -> list[Path]:
-    """Return the results in a folder that other jobs, settings, inputs or versions left there."""
+    """Return the result files in a folder that are of other jobs, settings, inputs or versions."""
     own = {job.fingerprint for job in jobs}
     return [path for path, fingerprint in _results(folder) if fingerprint not in own]
 
@@ -223,19 +224,19 @@ def run_jobs(
     jobs: Sequence[Job], folder: Path, executor: Executor,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[Entry]:
-    """Calibrate what has no result in the folder yet; yield every job as it is done.
+    """Calibrate the jobs that have no result in the folder; yield every job when it is done.
 
-    Each result is a file ``Job.file_name``, written as soon as it is there. Jobs without an answer
-    are tried again the next time; ``results_of_others`` are gone at the end. Raises ResultError
-    where the folder cannot be written.
+    Each result is written to ``Job.file_name`` at once. Jobs without an answer are repeated by
+    the next run; ``results_of_others`` are deleted at the end. Raises ResultError if the folder
+    cannot be written.
     """
     make_folder(folder, ResultError)
     others = results_of_others(folder, jobs)
     paths = {fingerprint: path for path, fingerprint in _results(folder)}
     saved = [Entry(job.name, _saved(paths.get(job.fingerprint))) for job in jobs]
-    waiting = [job for job, entry in zip(jobs, saved, strict=True) if entry.result is None]
+    pending = [job for job, entry in zip(jobs, saved, strict=True) if entry.result is None]
     entries = chain((entry for entry in saved if entry.result is not None),
-                    _calibrated(waiting, folder, executor))
+                    _calibrated(pending, folder, executor))
     for done, entry in enumerate(entries, 1):
         if progress is not None:
             progress(done, len(jobs))
@@ -245,7 +246,7 @@ def run_jobs(
 
 
 def _saved(path: Path | None) -> CalibrationResult | None:
-    # One that was spoilt, or is of another version, is made anew.
+    # Without a readable result, the job is calibrated again.
     with suppress(ResultError):
         return None if path is None else CalibrationResult.load(path)
     return None

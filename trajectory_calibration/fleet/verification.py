@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a saved extrinsic holds on other data."""
+"""Test whether a saved extrinsic still holds on other data."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ HOLDS, CANNOT_TELL, MOVED = 'holds', 'cannot tell', 'moved'
 
 _EXIT_STATUS = {HOLDS: DONE, CANNOT_TELL: INCOMPLETE, MOVED: CHANGED}
 
-# Of an axis: not known before, so that there is nothing to verify.
+# Status of an axis that is unobservable in the saved result: there is nothing to verify.
 NOT_KNOWN = 'not in the result'
 
-# Findings of data whose answer confirms nothing and contradicts nothing.
+# Findings of data that can neither confirm nor contradict an extrinsic.
 _NO_EVIDENCE = {'orientations-identical', 'poses-identical', 'worlds-differ'}
 
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """Whether a saved extrinsic holds on other data.
+    """The verdict on a saved extrinsic.
 
     Attributes
     ----------
     verdict : 'holds', 'cannot tell' or 'moved'.
-    status : of each degree of freedom: one of these, or 'not in the result' where the saved
-        result does not know it.
-    difference : the step from the saved extrinsic to that of the new data; None without answer.
-    needs : what a drive needs for a verdict; empty where there is one.
-    result : of the new data alone, without priors; None where they give no answer.
+    status : by degree of freedom: one of these, or 'not in the result' if it is unobservable
+        in the saved result.
+    difference : the step from the saved extrinsic to the new one; None without a new one.
+    needs : what another drive must contain for a verdict; empty if there is a verdict.
+    result : the calibration of the new data alone, without priors, or None.
     notes : sentences about the comparison.
 
     """
@@ -64,7 +64,7 @@ class Verification:
 
     @property
     def exit_status(self) -> int:
-        """Return 0 where every direction holds, 4 for moved, 3 where one was not tested."""
+        """Return 0 if every direction holds, 4 for moved, 3 if a direction was not tested."""
         if self.verdict == HOLDS and NOT_KNOWN in self.status.values():
             return INCOMPLETE
         return _EXIT_STATUS[self.verdict]
@@ -74,26 +74,26 @@ class Verification:
         found = self.difference
         if self.verdict == MOVED and found is not None:
             return f'moved by {found.describe()}'
-        held, untold, not_known = (
+        held, untested, not_known = (
             [name for name, status in self.status.items() if status == each]
             for each in (HOLDS, CANNOT_TELL, NOT_KNOWN))
         if self.verdict == CANNOT_TELL and found is None:
             return f'cannot tell: {self.needs}'
         if self.verdict == CANNOT_TELL:
-            rest = f'; {", ".join(held)} hold' if held else ''
-            return f'cannot tell {", ".join(untold)} (needs: {self.needs}){rest}'
-        words = f'holds in {len(held)} of 6 directions' if not_known else HOLDS
+            others = f'; {", ".join(held)} hold' if held else ''
+            return f'cannot tell {", ".join(untested)} (needs: {self.needs}){others}'
+        sentence = f'holds in {len(held)} of 6 directions' if not_known else HOLDS
         weak = [] if found is None else [
             axis for axis, name, is_weak in zip(AXES, DEGREES_OF_FREEDOM, found.weak, strict=True)
             if is_weak and name in held]
         if weak:
-            words += f', weakly tested {", ".join(weak)}'
+            sentence += f', weakly tested {", ".join(weak)}'
         if not_known:
-            words += f'; not tested: {", ".join(not_known)} (not in the saved result)'
-        return words
+            sentence += f'; not tested: {", ".join(not_known)} (not in the saved result)'
+        return sentence
 
     def describe_resolution(self) -> str:
-        """Return the smallest shift that would have been noticed, axis by axis."""
+        """Return the smallest detectable shift along each tested axis."""
         if self.difference is None:
             return ''
         return describe_step(self.difference.resolution, [
@@ -122,23 +122,23 @@ def verify(
     trajectory_b: Trajectory,
     config: CalibrationConfig | None = None,
 ) -> Verification:
-    """Calibrate other data of the same sensors, and compare.
+    """Calibrate other data of the same sensors, and compare the extrinsics.
 
     Parameters
     ----------
     result : CalibrationResult
-        What was saved.
+        The saved result.
     trajectory_a, trajectory_b : Trajectory
         Of the same sensors, on another drive.
     config : CalibrationConfig, optional
-        How to calibrate them; as ``result`` was, where omitted. Priors are left out: with them,
-        a component would confirm itself.
+        Settings of the new calibration; by default those of ``result``. Priors are not used: a
+        component with a prior would confirm itself.
 
     Returns
     -------
     Verification
-        Data that give no answer, and the recording that ``result`` was made of, are a verdict,
-        'cannot tell', and no error.
+        'cannot tell', not an error, if the data give no answer, or if ``result`` was calibrated
+        from the same recording.
 
     Raises
     ------
@@ -185,7 +185,7 @@ def verify(
             status[name] = MOVED
         elif step.testable[k] and status[name] != NOT_KNOWN:
             status[name] = HOLDS
-    # Where the saved result knows nothing, nothing holds.
+    # An empty set is no confirmation: the saved result may have no observable direction.
     verdict = (MOVED if step.differs else
                HOLDS if {*status.values()} - {NOT_KNOWN} == {HOLDS} else CANNOT_TELL)
     needs = '' if verdict != CANNOT_TELL else _needs(found.observability)
@@ -196,7 +196,7 @@ def _is_inverse(
     old: tuple[FloatArray, FloatArray], new: tuple[FloatArray, FloatArray],
     config: CalibrationConfig,
 ) -> bool:
-    """Tell whether the inverse of the old extrinsic fits; a single direction may by chance."""
+    """Return whether the inverse of the old extrinsic fits in more than one direction."""
     J = se3.inverse_step(old[0])
     step = difference((se3.inverse(old[0]), J @ old[1] @ J.T), new, config)
     return step.degrees_of_freedom > 1 and not step.differs
