@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 import resource
 import time
@@ -28,7 +28,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
 from trajectory_calibration.rig.noise import covariances, sensor_variances
 from trajectory_calibration.rig.pairs import calibrate_pairs
-from trajectory_calibration.rig.windows import common_grid, levels_of, Track, TWIST
+from trajectory_calibration.rig.windows import common_grid, levels_of, Track
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.scenario import Sensor
 from trajectory_calibration.sources.files import FileSource
@@ -179,17 +179,16 @@ def bound(
         together = np.zeros((sensors, 6, sensors, 6))
         alone = np.zeros((sensors, 6, 6))
         for level, N in zip(levels, noise, strict=True):
-            W = np.linalg.inv(N)
-            for seen, windows in level.patterns():
-                J = level.jacobian[windows][:, :, TWIST]
-                total = np.linalg.inv(W[seen].sum(axis=0)) if len(seen) else None
-                for i in seen:
-                    for j in seen:
-                        K = (W[i] if i == j else 0) - W[i] @ total @ W[j]
-                        together[i, :, j] += np.einsum('wca,cd,wdb->ab', J, K, J)
-                    if i and 0 in seen:
-                        alone[i] += np.einsum(
-                            'wca,cd,wdb->ab', J, np.linalg.inv(N[0] + N[i]), J)
+            known = level.known[:, level.known.any(axis=0)]
+            J = level.jacobian[level.known.any(axis=0)]
+            W = known[:, :, None, None] * np.linalg.inv(N)[:, None]
+            total = np.linalg.inv(W.sum(axis=0))
+            for i, j in product(range(sensors), repeat=2):
+                K = (W[i] if i == j else 0) - W[i] @ total @ W[j]
+                together[i, :, j] += np.einsum('wca,wcd,wdb->ab', J, K, J)
+            for i in range(1, sensors):
+                both = J[known[0] & known[i]]
+                alone[i] += np.einsum('wca,cd,wdb->ab', both, np.linalg.inv(N[0] + N[i]), both)
         C = np.linalg.inv(together[1:, :, 1:].reshape(6 * sensors - 6, -1))
         own = np.stack([np.diagonal(np.linalg.inv(part)) for part in alone[1:]])
         found.append(np.sqrt(np.diagonal(C).reshape(-1, 6) / own))

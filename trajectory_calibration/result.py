@@ -24,7 +24,7 @@ from trajectory_calibration.assessment.metrics import (
 )
 from trajectory_calibration.assessment.observability import Observability
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.config.yaml_file import load_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding, texts
 from trajectory_calibration.data.pose_pairs import AssociationSummary
 from trajectory_calibration.data.trajectory import ROTATION_TOLERANCE, Trajectory
@@ -248,15 +248,9 @@ class CalibrationResult:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> CalibrationResult:
         """Read what ``save`` wrote; raise ResultError for anything else."""
-        data = read_yaml(Path(path), 'a result', ResultError)
-        if not isinstance(data, dict):
-            raise ResultError(f'{path} holds no calibration result; needed the result.yaml of a '
-                              'calibration')
-        try:
-            return cls.from_dict(data)
-        except ResultError as error:
-            # With the path, because there may be several files.
-            raise ResultError(f'{path}: {error}') from error
+        return load_yaml(
+            Path(path), cls.from_dict, ResultError, 'a result',
+            'no calibration result; needed the result.yaml of a calibration')
 
 
 def _shown_by(module: str) -> Any:

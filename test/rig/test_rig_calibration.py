@@ -23,7 +23,7 @@ from trajectory_calibration.rig import (
     RigResult,
     SensorSettings,
 )
-from trajectory_calibration.rig.contradictions import find_other_clocks
+from trajectory_calibration.rig.contradictions import other_clocks
 from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.rig.windows import Clock
 from trajectory_calibration.simulation.noise import Noise
@@ -170,8 +170,10 @@ def test_a_late_clock_is_named_and_corrected():
 
 
 def test_clocks_of_which_none_is_usual_are_no_fault():
-    assert find_other_clocks([Clock(0.1 * k) for k in range(4)], 0) == []
-    assert find_other_clocks([Clock(), Clock(), Clock(-0.08)], 0) == [(2, 0.08)]
+    assert other_clocks('abcd', [Clock(0.1 * k) for k in range(4)]) == []
+    found, = other_clocks('abc', [Clock(), Clock(), Clock(-0.08)])
+    assert found.sensor == 'c'
+    assert '80 ms late' in found.text
 
 
 MOVED = vehicle('abcd', duration=120.0, faults={'c': Fault(moved=0.05)})
@@ -357,13 +359,13 @@ def test_a_free_scale_needs_a_solver_that_finds_it():
 @pytest.mark.parametrize(('values', 'message'), [
     ({'bases': 'a'}, "key 'bases' of the rig is unknown"),
     ({'sensors': {'a': {'skale': 'free'}}}, "key 'skale' of sensor a is unknown"),
-    ({'sensors': {'a': {'scale': 'any'}}}, "scale is 'any'"),
+    ({'sensors': {'a': {'scale': 'any'}}}, "scale 'any' is unknown"),
     ({'sensors': {'a': {'prior_translation': '1,2,3'}}}, 'sensor a: prior_translation_std'),
     ({'sensors': {'a': 3}}, 'sensor a is 3'),
     ({'calibration': {'solvr': 'dnl'}}, "'solvr' is unknown"),
     ({'calibration': {'prior_translation': '1,2,3', 'prior_translation_std': '1'}},
      'a rig has a prior for each sensor'),
-    ({'pairs': 'some'}, "pairs is 'some'"),
+    ({'pairs': 'some'}, "pairs 'some' is unknown"),
     ({'sensors': {'b': {'scale': 'free'}}, 'calibration': {'solver': 'park'}},
      'sensor b has scale free, which solver park cannot find; use solver drift_aware'),
     ({'processes': -1}, 'processes is -1'),

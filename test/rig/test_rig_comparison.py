@@ -41,7 +41,7 @@ def rig(X, rng):
         sensors[NAMES[k]] = SensorAnswer(
             NAMES[k], NAMES[k], 'a', T, C[k - 1, :, k - 1], {})
     size = 6 * (len(X) - 1)
-    return RigResult('a', sensors, C.reshape(size, size), NAMES[1:len(X)], (), (), 0.0, 0, 1.0,
+    return RigResult('a', sensors, C.reshape(size, size), NAMES[1:len(X)], (), (), 0.0, 0,
                      (), RigConfig())
 
 

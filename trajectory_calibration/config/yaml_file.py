@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from io import StringIO
 import math
 import os
 from pathlib import Path
 import re
-from typing import Any
+from typing import Any, TypeVar
 
 from trajectory_calibration.errors import CalibrationError, in_words, ResultError
+
+_Built = TypeVar('_Built')
 
 # Errors of malformed YAML that the library does not turn into its own: impossible dates,
 # "!!int abc", "!!int ''", "!!bool x", integers that are too long for Python, brackets nested
@@ -37,6 +40,24 @@ def read_yaml(path: Path, what: str, error: type[CalibrationError]) -> Any:
     except (OSError, ValueError) as cause:
         raise error(f'{path} cannot be read as {what}: {in_words(cause)}') from cause
     return parse_yaml(text, f'{path} cannot be read as {what}', error)
+
+
+def load_yaml(
+    path: Path, build: Callable[[dict[str, Any]], _Built], error: type[CalibrationError],
+    what: str, otherwise: str,
+) -> _Built:
+    """Return what ``build`` makes of the names and values of a file.
+
+    Raises ``error`` with the path, as of several files a person must know which: that it cannot
+    be read as ``what``, holds ``otherwise`` in place of names and values, or what ``build`` says.
+    """
+    data = read_yaml(path, what, error)
+    if not isinstance(data, dict):
+        raise error(f'{path} holds {otherwise}')
+    try:
+        return build(data)
+    except error as cause:
+        raise error(f'{path}: {cause}') from cause
 
 
 def parse_yaml(text: str, failure: str, error: type[CalibrationError]) -> Any:

@@ -31,8 +31,9 @@ def in_rig_words(text: str, parent: str, child: str) -> str:
     text = _PUBLISHED.sub('', text)
     for option, key in _WHOLE.items():
         text = text.replace(option, key)
-    text = _PRIOR.sub(
-        rf"prior_\1: '\2' and prior_\1_std: \3 below {_escaped(child)} in RIG.yaml", text)
+    text = _PRIOR.sub(lambda match: (
+        f"prior_{match[1]}: '{match[2]}' and prior_{match[1]}_std: {match[3]} below {child} in "
+        'RIG.yaml'), text)
     text = _OF_SENSOR.sub(of_sensor, text)
     return _SETTING.sub(
         lambda match: f'{_key(match[1])}: {match[2]} in settings of RIG.yaml', text)
@@ -40,7 +41,3 @@ def in_rig_words(text: str, parent: str, child: str) -> str:
 
 def _key(option: str) -> str:
     return option.replace('-', '_')
-
-
-def _escaped(name: str) -> str:
-    return name.replace('\\', r'\\')

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from trajectory_calibration.assessment.observability import DEGREES_OF_FREEDOM
 from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.data.trajectory import recording_of, recordings_in, Trajectory
 from trajectory_calibration.errors import (
@@ -18,14 +19,13 @@ from trajectory_calibration.errors import (
     TrajectoryError,
     unknown_name,
 )
-from trajectory_calibration.geometry.chi_squared import exceedance, FALSE_ALARM
+from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.contradictions import (
     against_priors,
-    block_of,
     doubt,
     other_clocks,
     unconnected,
@@ -38,7 +38,6 @@ from trajectory_calibration.rig.pairs import (
     sorted_out,
 )
 from trajectory_calibration.rig.result import (
-    Contradiction,
     judged,
     PairReport,
     RigResult,
@@ -170,8 +169,7 @@ def _of_two(
                       poses=result.poses)
     return RigResult(
         base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
-        contradictions=(), chi_squared=0.0, degrees=0, p_value=1.0,
-        findings=tuple(
+        contradictions=(), chi_squared=0.0, degrees=0, findings=tuple(
             replace(found, text=in_rig_words(found.text, base, other))
             for found in result.findings), config=config)
 
@@ -197,22 +195,21 @@ def _of_answers(
                for name in names for part in parts if name in part.sensors}
     contradictions = [*unconnected(groups, failures),
                       *(item for part in parts for item in part.contradictions)]
-    chi_squared, degrees = (sum(part.chi_squared for part in parts),
-                            sum(part.degrees for part in parts))
-    p_value = exceedance(chi_squared, degrees)
-    of_parts = [found for part in parts for found in part.findings]
-    return RigResult(
-        base=next(iter(sensors.values())).base, sensors=sensors,
-        covariance=_block_diagonal([part.covariance for part in parts]),
+    of_part = np.repeat(np.arange(len(parts)), [len(part.covariance) for part in parts])
+    covariance = np.zeros((len(of_part), len(of_part)))
+    covariance[of_part[:, None] == of_part] = np.concatenate(
+        [part.covariance.ravel() for part in parts])
+    rig = RigResult(
+        base=next(iter(sensors.values())).base, sensors=sensors, covariance=covariance,
         free=tuple(name for part in parts for name in part.free),
         pairs=(*(PairReport(pair.parent, pair.child, pair.reason, used=False)
                  for pair in failures), *(pair for part in parts for pair in part.pairs)),
-        contradictions=tuple(contradictions), chi_squared=chi_squared, degrees=degrees,
-        p_value=p_value,
-        findings=worst_first((
-            *_findings(sensors, groups, contradictions, p_value), *of_parts[:1],
-            *_of_pairs(solved))),
+        contradictions=tuple(contradictions),
+        chi_squared=sum(part.chi_squared for part in parts),
+        degrees=sum(part.degrees for part in parts),
+        findings=tuple(found for part in parts for found in part.findings)[:1],
         config=config)
+    return replace(rig, findings=worst_first((*_findings(rig), *rig.findings, *_of_pairs(solved))))
 
 
 def _solve_group(
@@ -220,25 +217,23 @@ def _solve_group(
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
     """Return the rig of sensors that are connected."""
-    tree = build_tree(
-        group, answers, trajectories, [config.of(name).scale == 'free' for name in group],
-        config.calibration)
+    tree = build_tree(group, answers, trajectories, config.calibration)
     priors = {k: prior for k, name in enumerate(group)
               if k and (prior := config.of(name).prior).given}
     doubted, contradictions = doubt(tree)
     without = tree.fuse(doubted=doubted)
     contradictions += against_priors(tree, without, priors)
     fused = tree.fuse(priors, doubted) if priors else without
-    contradictions += other_clocks(tree)
+    contradictions += other_clocks(group, tree.clocks)
     left_out = {group[k] for k in doubted if k} if config.leave_out_contradicting else set()
     kept = [k for k, name in enumerate(group) if k and name not in left_out]
     rows = [row for k in kept for row in range(6 * k - 6, 6 * k)]
     sensors = {}
     for k in (0, *kept):
         status, by_motion = (
-            judged(block_of(each, k), config.calibration) for each in (fused, without))
+            judged(each.of(k), config.calibration) for each in (fused, without))
         sensors[group[k]] = _answer(
-            group[k], group[0], fused.X[k], block_of(fused, k), config, trajectories,
+            group[k], group[0], fused.X[k], fused.of(k), config, trajectories,
             status={name: 'prior' if by_motion[name] == 'unobserved' != value else value
                     for name, value in status.items()},
             scale=float(tree.scales[k]), scale_std=float(tree.scale_stds[k]),
@@ -256,7 +251,6 @@ def _solve_group(
         contradictions=tuple(
             replace(item, left_out=item.sensor in left_out) for item in contradictions),
         chi_squared=without.chi_squared, degrees=without.degrees,
-        p_value=exceedance(without.chi_squared, without.degrees),
         findings=(_ASSUMED,) if tree.noise is None and len(answers) > 1 else (), config=config)
 
 
@@ -272,33 +266,29 @@ def _answer(
         'poses': 0 if trajectory is None else len(trajectory), **known})
 
 
-def _findings(
-    sensors: Mapping[str, SensorAnswer], groups: Sequence[Sequence[str]],
-    contradictions: Sequence[Contradiction], p_value: float,
-) -> tuple[Finding, ...]:
+def _findings(rig: RigResult) -> tuple[Finding, ...]:
+    """Return what a person should know of a rig."""
     found = [
         Finding(_CODES[item.kind], item.text, {'sensor': item.sensor, 'p_value': item.p_value})
-        for item in contradictions]
-    trees = [group for group in groups if len(group) > 1]
-    if len(trees) > 1:
+        for item in rig.contradictions]
+    if len(rig.trees) > 1:
         found.append(Finding('rig-groups', (
-            f'{len(trees)} groups of sensors share no motion with each other: '
-            f'{"; ".join(", ".join(tree) for tree in trees)}. Each is answered by itself')))
-    unobserved: dict[str, list[str]] = {}
-    for sensor in sensors.values():
-        for component in sensor.unobserved:
-            unobserved.setdefault(component, []).append(sensor.name)
+            f'{len(rig.trees)} groups of sensors share no motion with each other: '
+            f'{"; ".join(map(", ".join, rig.trees.values()))}. Each is answered by itself')))
+    unobserved = {
+        component: [name for name, sensor in rig.sensors.items() if component in sensor.unobserved]
+        for component in DEGREES_OF_FREEDOM}
     found += [
         Finding('direction-unobserved', (
             f'{component} of {", ".join(names)} unobserved. Drive '
             f'{"curves" if component in _SHOWN_BY_CURVES else "ramps and banks"}, or '
             'measure it and write prior_translation or prior_rotation (and its _std) below the '
             'sensor in RIG.yaml'), {'component': component, 'sensors': names})
-        for component, names in unobserved.items()]
-    if p_value < FALSE_ALARM:
+        for component, names in unobserved.items() if names]
+    if rig.p_value < FALSE_ALARM:
         found.append(Finding('rig-loops', (
-            f'the loops do not close within the standard deviations (p = {p_value:.1g}): the '
-            'standard deviations are too small'), {'p_value': p_value}))
+            f'the loops do not close within the standard deviations (p = {rig.p_value:.1g}): the '
+            'standard deviations are too small'), {'p_value': rig.p_value}))
     return tuple(found)
 
 
@@ -310,12 +300,3 @@ def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
         for answer in answers
         for found in answer.result.findings
         if found.level == 'serious' and found.code != 'direction-unobserved')
-
-
-def _block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
-    ends = np.cumsum([len(block) for block in blocks])
-    result = np.zeros((ends[-1], ends[-1]))
-    for block, end in zip(blocks, ends, strict=True):
-        part = slice(end - len(block), end)
-        result[part, part] = block
-    return result

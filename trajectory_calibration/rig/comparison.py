@@ -55,7 +55,7 @@ class RigComparison:
         it moved.
     missing : that the new rig does not have.
     changes : sensors that moved, the largest first.
-    chi_squared, degrees, p_value : of no change at all.
+    chi_squared, degrees : of no change at all.
     same_recording : whether both rigs hold one trajectory: they share its errors and tell nothing.
 
     """
@@ -66,8 +66,12 @@ class RigComparison:
     changes: tuple[Change, ...]
     chi_squared: float
     degrees: int
-    p_value: float
     same_recording: bool = False
+
+    @property
+    def p_value(self) -> float:
+        """Return how often chance alone exceeds the chi-squared."""
+        return exceedance(self.chi_squared, self.degrees)
 
     @property
     def holds(self) -> bool:
@@ -98,10 +102,8 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     ResultError for fewer than two common sensors.
     """
     base = old.base
-    common = [name for name in old.trees.get(base, ())
-              if name in new.sensors and base in new.sensors
-              and new.sensors[name].base == new.sensors[base].base]
-    others = [name for name in common if name != base]
+    tree = next((names for names in new.trees.values() if base in names), ())
+    others = [name for name in old.trees.get(base, ()) if name in tree and name != base]
     if not others:
         raise ResultError(
             f'the rigs have {", ".join(old.sensors)} and {", ".join(new.sensors)}, needed the '
@@ -151,9 +153,9 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
                             min(1.0, exceedance(left - rest, shown) * len(tried))))
         left, degrees = rest, remaining
     of_base = [item for item in found if item.sensor == base]
-    missing = tuple(name for name in old.sensors if name not in common)
+    missing = tuple(name for name in old.sensors if name not in (base, *others))
     return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
-                         exceedance(total, count), same_recording)
+                         same_recording)
 
 
 def _twists(

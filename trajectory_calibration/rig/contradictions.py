@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from trajectory_calibration.assessment.prior_update import contradictions as far_from_prior
 from trajectory_calibration.config.prior import Prior
 from trajectory_calibration.errors import rounded
 from trajectory_calibration.geometry import se3
@@ -23,7 +24,7 @@ from trajectory_calibration.rig.fusion import Fused
 from trajectory_calibration.rig.pairs import PairFailure
 from trajectory_calibration.rig.result import Contradiction
 from trajectory_calibration.rig.tree import Tree
-from trajectory_calibration.rig.windows import Clock, Grid, TWIST, WindowLevel
+from trajectory_calibration.rig.windows import Clock, Grid, WindowLevel
 
 # Contradictions that are looked for one after the other, each without the ones before.
 _MOST_DOUBTED = 3
@@ -119,50 +120,32 @@ def against_priors(
     """Name the sensors whose prior is far from what the motion says."""
     found = []
     for k, prior in priors.items():
-        known = np.isfinite(prior.std)
-        P = block_of(fused, k)[np.ix_(known, known)] + np.diag(prior.std[known]**2)
-        deviation = prior.step_from(fused.X[k])[known]
-        scale = np.sqrt(np.diagonal(P))
-        worst = float(np.abs(deviation / scale).max())
-        # Of the largest of a few normal deviations, so that the number of components is free.
-        p_value = min(1.0, len(scale) * float(np.exp(-0.5 * worst**2)))
-        if p_value < FALSE_ALARM:
-            name = tree.names[k]
+        if told := far_from_prior(fused.X[k], fused.of(k), prior):
+            worst = max(told, key=lambda finding: finding.values['sigmas'])
+            chi_squared = float(worst.values['sigmas'])**2
             found.append(Contradiction(
-                name, 'prior', f'the prior of {name} is {worst:.0f} standard deviations from what '
-                'the motion says: one of them is wrong, and the answer is between',
-                worst**2, 1, p_value))
+                tree.names[k], 'prior', f'{tree.names[k]}: {worst.text}', chi_squared, 1,
+                exceedance(chi_squared, 1)))
     return found
 
 
-def other_clocks(tree: Tree) -> list[Contradiction]:
-    """Name the sensors whose clock is off that of most others."""
-    found = []
-    for k, late_s in find_other_clocks(tree.clocks, tree.clocks[0].epoch_ns):
-        name = tree.names[k]
-        word = 'late' if late_s > 0 else 'early'
-        std = max(tree.clocks[k].offset_std_s, 1e-6)
-        chi_squared = (late_s / std)**2
-        found.append(Contradiction(
-            name, 'clock', f'the stamps of {name} are {1e3 * abs(late_s):.0f} ms {word} against '
-            f'those of the others (corrected): check its driver',
-            chi_squared, 1, float(np.exp(-0.5 * min(chi_squared, 1400.0)))))
-    return found
-
-
-def find_other_clocks(clocks: Sequence[Clock], stamp_ns: int) -> list[tuple[int, float]]:
-    """Return the sensors whose clock is off that of most others, and by how many seconds late."""
-    seconds = np.array([clock.at(stamp_ns) for clock in clocks])
-    sure = np.array([clock.offset_std_s for clock in clocks])
+def other_clocks(names: Sequence[str], clocks: Sequence[Clock]) -> list[Contradiction]:
+    """Name the sensors whose clock, of one epoch for all, is off that of most others."""
+    seconds = np.array([clock.offset_s for clock in clocks])
     agree = np.abs(seconds[:, None] - seconds) <= _SAME_CLOCK_S
-    centre = int(np.argmax(agree.sum(axis=1)))
-    same = agree[centre]
+    same = agree[np.argmax(agree.sum(axis=1))]
     if np.count_nonzero(same) < max(2, len(clocks) / 2 + 0.5):
         return []
-    usual = float(np.median(seconds[same]))
-    off = seconds - usual
-    return [(int(k), -float(off[k])) for k in np.flatnonzero(
-        (np.abs(off) > _OTHER_CLOCK_S) & (np.abs(off) > _SURE * sure))]
+    found = []
+    for name, clock, late_s in zip(names, clocks, np.median(seconds[same]) - seconds, strict=True):
+        if abs(late_s) > max(_OTHER_CLOCK_S, _SURE * clock.offset_std_s):
+            chi_squared = float(late_s / max(clock.offset_std_s, 1e-6))**2
+            word = 'late' if late_s > 0 else 'early'
+            found.append(Contradiction(
+                name, 'clock', f'the stamps of {name} are {1e3 * abs(late_s):.0f} ms {word} '
+                f'against those of the others (corrected): check its driver',
+                chi_squared, 1, exceedance(chi_squared, 1)))
+    return found
 
 
 def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
@@ -188,22 +171,23 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
     found = []
     for s, unobserved in enumerate(tree.unobserved_twists()):
         evidence = *_blocks(levels, noise, s, size, blocks), unobserved
-        degrees = 6 - unobserved.shape[1]
-        tried = [(cut * size, None, *told) for cut in range(blocks)
-                 if (told := _change(*evidence, cut, cut)) is not None]
-        jumps = [(sample, jump, *told)
-                 for sample, jump in _jumps(noise[best], steps, samples, s, half)
-                 if (told := _change(*evidence, sample // size, sample // size + 1)) is not None]
-        for sample, jump, change, weight, of_noise in (*tried, *jumps):
-            chi_squared = float(change @ weight @ change)
-            p_value = exceedance_of_ratio(chi_squared, degrees, of_noise) * len(tried)
+        cuts = [(cut * size, cut, cut, None) for cut in range(_AROUND, blocks - _AROUND + 1)]
+        jumps = [(sample, sample // size, sample // size + 1, jump)
+                 for sample, jump in _jumps(noise[best], steps, samples, s, half)]
+        for sample, until, since, jump in (*cuts, *jumps):
+            told = _change(*evidence, until, since)
+            if told is None:
+                continue
+            change, weight, of_noise = told
+            chi_squared, degrees = float(change @ weight @ change), 6 - unobserved.shape[1]
+            tried: float = len(cuts)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
                 # Whatever its size, a jump of the track alone exceeds this no more often.
-                p_value = exceedance_of_ratio(chi_squared, 1, of_noise) / 2 * len(jumps)
-            found.append((
-                min(1.0, p_value * len(tree.names)), -chi_squared, 1 if jump is not None else
-                degrees, s, sample, change if jump is None else jump))
+                change, degrees, tried = jump, 1, 0.5 * len(jumps)
+            p_value = exceedance_of_ratio(chi_squared, degrees, of_noise) * tried
+            found.append((min(1.0, p_value * len(tree.names)), -chi_squared, degrees, s, sample,
+                          change))
     if not found:
         return None
     p_value, chi_squared, degrees, s, sample, twist = min(found, key=lambda item: item[:2])
@@ -227,8 +211,7 @@ def _steps(grid: Grid, half: int) -> tuple[FloatArray, NDArray[np.intp]]:
     part = grid.poses[:, index]
     motion = se3.inverse(part[:, :, :1]) @ part
     away = se3.log_se3(se3.inverse(motion[0]) @ motion)
-    nothing = np.zeros((*away.shape[:2], 1, 6))
-    running = np.cumsum(np.concatenate([nothing, away], axis=2), axis=2)
+    running = np.cumsum(np.pad(away, ((0, 0), (0, 0), (1, 0), (0, 0))), axis=2)
     # A step is the mean of as many samples from a cut on less that of those before.
     cuts = np.arange(half, 3 * half)
     step = running[:, :, cuts + half] - 2 * running[:, :, cuts] + running[:, :, cuts - half]
@@ -241,9 +224,8 @@ def _jumps(
     noise: FloatArray, steps: FloatArray, samples: NDArray[np.intp], sensor: int, half: int,
 ) -> list[tuple[int, FloatArray]]:
     """Return where one sensor jumps most against all others, and the (6,) twists of the base."""
-    others = np.flatnonzero(np.arange(len(noise)) != sensor)
-    step, weight = _against(others, noise, steps, sensor)
-    size = np.sum(step @ weight * step, axis=1)
+    _, step, weight = _against(noise, steps, np.ones(steps.shape[:2], dtype=np.bool_), sensor)
+    size = _squared(step, weight)
     found = []
     for _ in range(_JUMPS if len(size) else 0):
         most = int(np.argmax(size))
@@ -262,30 +244,37 @@ def _blocks(
     for level, N in zip(levels, noise, strict=True):
         if 2 * level.samples > size:
             break
-        for seen, windows in level.patterns():
-            others = seen[seen != sensor]
-            if sensor not in seen or len(others) < 2:
-                continue
-            apart, K = _against(others, N, level.differences[:, windows], sensor)
-            # A jump of a track is no move of a mount.
-            squared = np.sum(apart @ K * apart, axis=1) / 6
-            trust = np.minimum(1.0, 4.0 / np.maximum(squared, 1e-12))
-            J = level.jacobian[windows][:, :, TWIST]
-            weighted = trust[:, None, None] * np.swapaxes(J, 1, 2) @ K
-            block = np.minimum(2 * level.samples * windows // size, blocks - 1)
-            np.add.at(score, block, -(weighted @ apart[:, :, None])[:, :, 0])
-            np.add.at(information, block, weighted @ J)
+        windows, apart, K = _against(N, level.differences, level.known, sensor)
+        # A jump of a track is no move of a mount.
+        trust = np.minimum(1.0, 24.0 / np.maximum(_squared(apart, K), 1e-12))
+        J = level.jacobian[windows]
+        weighted = trust[:, None, None] * np.swapaxes(J, 1, 2) @ K
+        block = np.minimum(2 * level.samples * windows // size, blocks - 1)
+        np.add.at(score, block, -(weighted @ apart[:, :, None])[:, :, 0])
+        np.add.at(information, block, weighted @ J)
     return score, information
 
 
 def _against(
-    others: NDArray[np.intp], noise: FloatArray, values: FloatArray, sensor: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return how far (S, W, 6) values of a sensor are from the mean of others, and the weight."""
-    W = np.linalg.inv(noise[others])
+    noise: FloatArray, values: FloatArray, known: NDArray[np.bool_], sensor: int,
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Return where a sensor and two others have values, and there how far it is from their mean.
+
+    ``values`` are (S, W, 6), ``known`` (S, W); the weight of what is returned is (W', 6, 6).
+    """
+    others = known.copy()
+    others[sensor] = False
+    at = np.flatnonzero(known[sensor] & (others.sum(axis=0) >= 2))
+    W = others[:, at, None, None] * np.linalg.inv(noise)[:, None]
     P = np.linalg.inv(W.sum(axis=0))
-    mean = (values[others] @ (P @ W).swapaxes(1, 2)).sum(axis=0)
-    return values[sensor] - mean, np.linalg.inv(noise[sensor] + P)
+    mean = P @ np.sum(W @ values[:, at, :, None], axis=0)
+    return at, values[sensor, at] - mean[:, :, 0], np.linalg.inv(noise[sensor] + P)
+
+
+def _squared(apart: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return (W,) chi-squared of (W, 6) values."""
+    found: FloatArray = np.einsum('wi,wij,wj->w', apart, weight, apart)
+    return found
 
 
 def _change(
@@ -296,23 +285,21 @@ def _change(
     Also the degrees of freedom with which the noise in the weight was estimated.
     """
     known = np.trace(information, axis1=1, axis2=2) > 0
-    parts = (slice(None, until), slice(since, None))
-    if min(np.count_nonzero(known[part]) for part in parts) < _AROUND:
+    parts = [np.flatnonzero(known[:until]), since + np.flatnonzero(known[since:])]
+    if min(map(len, parts)) < _AROUND:
         return None
     untold = np.diag(1.0 / _UNTOLD**2)
     H = [information[part].sum(axis=0) for part in parts]
     x = [np.linalg.solve(h + untold, score[part].sum(axis=0))
          for h, part in zip(H, parts, strict=True)]
     # By how much the blocks scatter more than their noise says.
-    left = np.concatenate([(score[part] - information[part] @ answer)[known[part]]
+    left = np.concatenate([score[part] - information[part] @ answer
                            for part, answer in zip(parts, x, strict=True)])
-    used = np.concatenate([information[part][known[part]] for part in parts])
-    scatter = np.einsum(
-        'bi,bi->', left, np.linalg.solve(used + untold, left[:, :, None])[:, :, 0])
+    used = information[np.concatenate(parts)] + untold
+    scatter = float(np.sum(left * np.linalg.solve(used, left[:, :, None])[:, :, 0]))
     of_noise = 6 * (len(left) - 2)
-    inflation = max(1.0, float(scatter) / of_noise)
-    weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1]) / inflation
-    return x[1] - x[0], without(weight, unobserved), of_noise
+    weight = H[0] @ np.linalg.solve(H[0] + H[1] + untold, H[1])
+    return x[1] - x[0], without(weight / max(1.0, scatter / of_noise), unobserved), of_noise
 
 
 def describe_size(step: FloatArray) -> str:
@@ -320,10 +307,3 @@ def describe_size(step: FloatArray) -> str:
     metres = float(np.linalg.norm(step[:3]))
     degrees = float(np.rad2deg(np.linalg.norm(step[3:])))
     return f'{rounded(100 * metres)} cm and {rounded(degrees)} deg'
-
-
-def block_of(fused: Fused, k: int) -> FloatArray:
-    """Return the (6, 6) covariance of sensor k of a tree; zero of its base."""
-    if k == 0:
-        return np.zeros((6, 6))
-    return fused.covariance[6 * k - 6:6 * k, 6 * k - 6:6 * k]

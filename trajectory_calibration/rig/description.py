@@ -9,9 +9,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from trajectory_calibration.config.yaml_file import read_yaml
+from trajectory_calibration.config.yaml_file import load_yaml
 from trajectory_calibration.errors import ConfigError
-from trajectory_calibration.rig.settings import require_known, RigConfig, SensorSettings
+from trajectory_calibration.rig.settings import known_of, require_known, RigConfig, SensorSettings
 from trajectory_calibration.sources.inputs import InputOptions
 from trajectory_calibration.sources.transforms import TF_PREFIX
 
@@ -48,13 +48,8 @@ class RigDescription:
 
         Raises ConfigError: no such file, no YAML, an unknown key, or a sensor without a source.
         """
-        data = read_yaml(path, 'the description of a rig', ConfigError)
-        if not isinstance(data, Mapping):
-            raise ConfigError(f'{path} holds no rig; needed lines such as "sensors:"')
-        try:
-            return cls.from_dict(data, path.parent)
-        except ConfigError as error:
-            raise ConfigError(f'{path}: {error}') from error
+        return load_yaml(path, lambda data: cls.from_dict(data, path.parent), ConfigError,
+                         'the description of a rig', 'no rig; needed lines such as "sensors:"')
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path = Path()) -> RigDescription:
@@ -69,8 +64,7 @@ class RigDescription:
                 raise ConfigError(f'sensor {name} is {values!r}, needed lines such as '
                                   '"topic: /odometry"')
             inputs[str(name)] = _input(str(name), values, folder)
-            known[str(name)] = {
-                key: value for key, value in values.items() if key in _KNOWN_OF_SENSOR}
+            known[str(name)] = known_of(SensorSettings, values)
         bags = data.get('bag', data.get('bags', ()))
         return cls(
             inputs,

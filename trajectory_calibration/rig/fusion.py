@@ -25,7 +25,7 @@ from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.observed import misfit, whitener
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.shared_noise import regular, with_own_share
+from trajectory_calibration.rig.shared_noise import half_shared, root_of, with_own_share
 
 _MAX_STEPS = 50
 _SETTLED = 1e-13
@@ -65,6 +65,11 @@ class Fused:
     chi_squared: float
     degrees: int
 
+    def of(self, k: int) -> FloatArray:
+        """Return the (6, 6) covariance of sensor k; zero of the base."""
+        part = slice(6 * k - 6, 6 * k)
+        return self.covariance[part, part] if k else np.zeros((6, 6))
+
 
 def fuse(
     start: FloatArray,
@@ -91,30 +96,25 @@ def fuse(
         No convergence: the answers contradict each other by far.
 
     """
-    priors = priors or {}
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
-    doubt = np.where(trust, 1.0, 1.0 / _DOUBTED)
-    whitening = np.linalg.inv(np.linalg.cholesky(np.stack([
-        regular(C[p, :, p]) * doubt[p]**2 for p in range(len(pairs))])))
-    X, step, left = start.copy(), np.full(1, np.inf), np.inf
+    whitening: FloatArray = np.linalg.inv(np.stack(
+        [root_of(C[p, :, p]) for p in range(len(pairs))]))
+    whitening[~trust] *= _DOUBTED
+    X = start.copy()
     for _ in range(_MAX_STEPS):
         residual, A = _linearise(X, pairs, answers)
-        known, expected = _prior_rows(X, priors)
+        known, expected = _prior_rows(X, priors or {})
         Q, triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))
         step = np.linalg.solve(
             triangle, Q.T @ np.concatenate([_times(whitening, residual), expected]))
-        # In deviations: rounding moves what is unobserved by more than what is known.
-        left = float(np.linalg.norm(triangle @ step))
-        X[1:] = se3.moved(X[1:], step.reshape(-1, 6))
         if np.abs(step).max() < _SETTLED:
             break
-    if np.abs(step).max() > 1e-6 and left > 1e-3:
+        X[1:] = se3.moved(X[1:], step.reshape(-1, 6))
+    # In deviations, too: rounding moves what is unobserved by more than what is known.
+    if np.abs(step).max() > 1e-6 and np.linalg.norm(triangle @ step) > 1e-3:
         raise SolverError(
             f'the poses of {len(start)} sensors do not settle in {_MAX_STEPS} steps: the answers '
             'of their pairs contradict each other; leave a sensor out')
-    residual, A = _linearise(X, pairs, answers)
-    known = _prior_rows(X, priors)[0]
-    triangle = np.linalg.qr(np.concatenate([_times(whitening, A), known]))[1]
     inverse = np.linalg.inv(triangle)
     G = inverse @ inverse.T
     # How the answer moves with the answers of the pairs.
@@ -150,7 +150,7 @@ def _pair_misfits(
     for p in range(len(C)):
         part = slice(6 * p, 6 * p + 6)
         own, P = left[part] @ V @ left[part].T, C[p, :, p]
-        if np.trace(np.linalg.solve(regular(P), own)) > 1e-6:
+        if (np.diagonal(own) > 1e-6 * np.diagonal(P)).any():
             # What the pair leaves unobserved counts as such, whatever the others know.
             K = whitener(P, limits)
             found, degrees[p] = K @ residual[part], len(K)
@@ -171,9 +171,9 @@ def spanning_start(
     X = np.full((sensors, 4, 4), np.nan)
     X[0] = np.eye(4)
     known = {0}
-    size = [float(np.trace(regular(P))) for P in stated]
+    size = np.trace(stated, axis1=1, axis2=2)
     while edges := [p for p, (i, j) in enumerate(pairs) if (i in known) != (j in known)]:
-        i, j = pairs[p := min(edges, key=size.__getitem__)]
+        i, j = pairs[p := min(edges, key=lambda p: size[p])]
         if i in known:
             X[j] = X[i] @ answers[p]
         else:
@@ -183,20 +183,23 @@ def spanning_start(
 
 
 def fuse_numbers(
-    sensors: int, pairs: Sequence[tuple[int, int]], values: FloatArray, V: FloatArray,
+    sensors: int, pairs: Sequence[tuple[int, int]], values: FloatArray, stds: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return (S,) numbers, zero of the first, and their deviations from (P,) differences.
 
-    ``V`` (P, P) is the covariance of the differences ``child - parent``.
+    ``stds`` (P,) are the deviations of the differences ``child - parent``. The noise of the base
+    is in every pair, so that other pairs make a number no surer than its pair with the base.
     """
     i, j = np.array(pairs, dtype=np.intp).T
     A = (np.eye(sensors)[j] - np.eye(sensors)[i])[:, 1:]
-    weight = 1.0 / np.maximum(np.diagonal(V), 1e-24)
-    normal = (A.T * weight) @ A
-    weights = np.linalg.solve(normal, A.T * weight)
-    found = weights @ values
-    deviations = np.sqrt(np.maximum(np.diagonal(weights @ V @ weights.T), 0.0))
-    return np.insert(found, 0, 0.0), np.insert(deviations, 0, 0.0)
+    weights = np.linalg.pinv(A / stds[:, None]) / stds
+    rows = weights * stds
+    found = np.sqrt(np.einsum('sp,pq,sq->s', rows, half_shared(sensors, pairs), rows))
+    deviations = np.insert(found, 0, 0.0)
+    for pair, std in zip(pairs, stds, strict=True):
+        if 0 in pair:
+            deviations[max(pair)] = max(deviations[max(pair)], std)
+    return np.insert(weights @ values, 0, 0.0), deviations
 
 
 def _linearise(

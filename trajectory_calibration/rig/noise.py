@@ -6,13 +6,16 @@ The mean square of the difference of two sensors is the sum of what each contrib
 sensors or more these sums are more than the unknowns (variance components; in metrology the
 "three-cornered hat": J. E. Gray, D. W. Allan, 28th Frequency Control Symposium, 1974). With two
 the noise is halved between them.
+
+The noise that the solver of a pair identifies does not do: not every solver has it, pairs with
+the base alone tell no sensor from it, and a sound mount of 20 was called moved (docs/rig.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 
@@ -27,10 +30,7 @@ _MEDIAN, _CUT = quantile(3, 0.5), quantile(3)
 # A sensor without noise still has this share of the smallest sum that it is part of.
 _FLOOR = 0.03
 
-# Windows that tell a variance without rounding to nothing.
-_FEWEST_WINDOWS = 6
-
-_SWEEPS, _REFITS = 500, 5
+_REFITS = 5
 
 # Metres and radians that are rounding: a nanosecond at 10 m/s.
 _LEAST = 1e-8
@@ -57,30 +57,36 @@ def sensor_variances(levels: Sequence[WindowLevel], X: FloatArray) -> FloatArray
     """Return the (T, S, 2) variances of one axis of the differences, translation and rotation.
 
     ``X`` (S, 4, 4) are the sensors in the base: a rotation of a sensor moves the base by its
-    distance times the angle.
+    distance times the angle. What a length does not tell is as at the shorter one.
     """
     lever = np.linalg.norm(X[:, :3, 3], axis=1)
-    found = np.empty((len(levels), len(X), 2))
-    for level, variances in zip(levels, found, strict=True):
+    rows = np.array([np.sum(np.eye(len(X))[list(pair)], axis=0)
+                     for pair in combinations(range(len(X)), 2)])
+    found = np.zeros((len(levels) + 1, len(X), 2))
+    for level, before, variances in zip(levels, found, found[1:], strict=False):
         (apart, turned), counts = _pair_squares(level)
-        variances[:, 1] = _components(turned, counts)
-        swung = 2 / 3 * lever**2 * np.nan_to_num(variances[:, 1])
-        sums = np.maximum(apart - swung[:, None] - swung, _FLOOR * apart)
-        variances[:, 0] = _components(sums, counts)
-    return _continued(found)
+        variances[:, 1] = _components(rows, turned, counts, before[:, 1])
+        swung = rows @ (2 / 3 * lever**2 * variances[:, 1])
+        variances[:, 0] = _components(
+            rows, np.maximum(apart - swung, _FLOOR * apart), counts, before[:, 0])
+    return found[1:]
 
 
 def _pair_squares(level: WindowLevel) -> tuple[FloatArray, FloatArray]:
-    """Return (2, S, S) mean squares of one axis of what two sensors differ by, and windows."""
-    sensors = len(level.known)
-    squares, counts = np.full((2, sensors, sensors), np.nan), np.zeros((sensors, sensors))
-    for i, j in combinations(range(sensors), 2):
+    """Return (2, P) mean squares of one axis of what two sensors differ by, and windows.
+
+    Jumps do not count.
+    """
+    pairs = list(combinations(range(len(level.known)), 2))
+    squares, counts = np.zeros((2, len(pairs))), np.zeros(len(pairs))
+    for p, (i, j) in enumerate(pairs):
         both = level.known[i] & level.known[j]
-        counts[i, j] = np.count_nonzero(both)
-        if counts[i, j] >= 2:
-            apart = level.differences[j, both] - level.differences[i, both]
-            squares[:, i, j] = [
-                _variance(np.sum(part**2, axis=1)) for part in np.split(apart, 2, axis=1)]
+        counts[p] = np.count_nonzero(both)
+        if counts[p]:
+            apart = (level.differences[j, both] - level.differences[i, both]).reshape(-1, 2, 3)
+            lengths = np.sum(apart**2, axis=2)
+            usual = np.maximum(np.median(lengths, axis=0) / _MEDIAN, _LEAST**2)
+            squares[:, p] = np.minimum(lengths, _CUT * usual).mean(axis=0) / 3
     return squares, counts
 
 
@@ -98,7 +104,7 @@ def covariances(variances: FloatArray, X: FloatArray) -> FloatArray:
     return Ad @ own @ np.swapaxes(Ad, 1, 2)
 
 
-def white_and_drift(levels: list[WindowLevel], variances: FloatArray) -> list[SensorNoise]:
+def white_and_drift(levels: Sequence[WindowLevel], variances: FloatArray) -> list[SensorNoise]:
     """Return white noise and random walk of every sensor, fitted to (T, S, 2) variances.
 
     The halves of a window of 2 h samples average h poses each: white noise of variance w leaves
@@ -109,72 +115,46 @@ def white_and_drift(levels: list[WindowLevel], variances: FloatArray) -> list[Se
     weight = np.sqrt([len(level.jacobian) for level in levels])
     found = []
     for of_sensor in variances.swapaxes(0, 1):
-        (white_m, drift_m), (white_rad, drift_rad) = (
-            _fitted(columns, values, weight) for values in of_sensor.T)
-        found.append(SensorNoise(white_m, white_rad, drift_m, drift_rad))
+        metres, radians = (_fitted(columns, values, weight) for values in of_sensor.T)
+        found.append(SensorNoise(metres[0], radians[0], metres[1], radians[1]))
     return found
 
 
 def _fitted(columns: FloatArray, values: FloatArray, weight: FloatArray) -> list[float]:
     """Return the deviations of white noise and random walk that explain (T,) variances best."""
-    usable = np.isfinite(values)
-    X, y = columns[usable], np.maximum(values[usable], _LEAST**2)
-    expected, fit = y, np.zeros(2)
-    for _ in range(_REFITS if usable.any() else 0):
-        root = weight[usable] / expected
-        fit = _nonnegative(X * root[:, None], y * root)
-        expected = np.maximum(X @ fit, 1e-3 * y)
+    expected = values
+    for _ in range(_REFITS):
+        root = weight / expected
+        fit = _nonnegative(columns * root[:, None], values * root)
+        expected = np.maximum(columns @ fit, 1e-3 * values)
     found: list[float] = np.sqrt(fit).tolist()
     return found
 
 
-def _variance(squares: FloatArray) -> float:
-    """Return the variance of one of three axes of (W,) squared lengths; jumps do not count."""
-    if len(squares) < _FEWEST_WINDOWS:
-        return float(np.mean(squares)) / 3
-    usual = float(np.median(squares)) / _MEDIAN
-    return float(np.mean(np.minimum(squares, _CUT * max(usual, _LEAST**2)))) / 3
+def _components(
+    rows: FloatArray, sums: FloatArray, counts: FloatArray, before: FloatArray,
+) -> FloatArray:
+    """Return (S,) variances > 0 whose sums by the (P, S) rows are closest to (P,) ``sums``.
 
-
-def _components(sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Return (S,) variances >= 0 whose sums i + j are closest to (S, S) ``sums``; NaN: unknown."""
-    sensors = len(sums)
-    i, j = np.nonzero(np.isfinite(sums))
-    if not len(i):
-        return np.full(sensors, np.nan)
-    y = np.maximum(sums[i, j], _LEAST**2)
-    rows = np.eye(sensors)[i] + np.eye(sensors)[j]
+    What no sum tells is as ``before``, and else shared equally.
+    """
+    y = np.maximum(sums, _LEAST**2)
     # A mean square of n windows is known to a share of it.
-    root = np.sqrt(counts[i, j]) / y
-    # What no sum tells apart is shared equally.
-    faint = 1e-3 * np.sqrt(np.sum((rows * root[:, None])**2, axis=0).mean())
-    A = np.concatenate([rows * root[:, None], faint * np.eye(sensors)])
-    found = _nonnegative(
-        A, np.concatenate([y * root, np.full(sensors, faint * np.median(y) / 2)]))
-    least = np.min(np.where(rows > 0, y[:, None], np.inf), axis=0)
-    return np.where(np.isfinite(least), np.maximum(found, _FLOOR * least), np.nan)
+    root = np.sqrt(counts) / y
+    A = rows * root[:, None]
+    faint = 1e-3 * np.sqrt(np.sum(A**2) / A.shape[1])
+    found = _nonnegative(np.concatenate([A, faint * np.eye(A.shape[1])]),
+                         np.concatenate([y * root, faint * before]))
+    least = np.min(np.where(A > 0, y[:, None], np.inf), axis=0)
+    return np.where(np.isfinite(least), np.maximum(found, _FLOOR * least),
+                    np.maximum(before, _LEAST**2))
 
 
 def _nonnegative(A: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the least-squares solution of ``A v = y`` with every element >= 0."""
-    gram, right = A.T @ A, A.T @ y
-    scale = np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
-    gram, right = gram / np.outer(scale, scale), right / scale
-    v = np.maximum(np.linalg.lstsq(gram, right, rcond=None)[0], 0.0)
-    for _ in range(_SWEEPS):
-        before = v.copy()
-        for k in range(len(v)):
-            v[k] = max(0.0, v[k] + (right[k] - gram[k] @ v) / gram[k, k])
-        if np.abs(v - before).max() <= 1e-12 * max(np.abs(v).max(), 1e-300):
-            break
-    solution: FloatArray = v / scale
-    return solution
-
-
-def _continued(variances: FloatArray) -> FloatArray:
-    """Fill what a length does not tell with the nearest shorter one, then the nearest longer."""
-    filled = variances.copy()
-    for ordered in (filled, filled[::-1]):
-        for before, values in pairwise(ordered):
-            np.copyto(values, before, where=~np.isfinite(values))
-    return filled
+    """Return the least-squares solution of ``A v = y`` without the columns that make it < 0."""
+    v, used = np.full(A.shape[1], -1.0), np.ones(A.shape[1], dtype=np.bool_)
+    while (v < 0).any():
+        v = np.zeros(A.shape[1])
+        v[used] = np.linalg.lstsq(A[:, used], y, rcond=None)[0]
+        used &= v > 0
+    return v

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from itertools import combinations
 from operator import itemgetter
 
@@ -31,8 +30,8 @@ _HUBS = 2
 # and its stated covariance says that it used less.
 _CHECKED_POSES = 2000
 
-# Poses of all pairs together below which a process, of whose time 0.7 s are its start, costs more
-# than it saves.
+# Poses of all sensors together below which a process, of whose time 0.7 s are its start, costs
+# more than it saves.
 _WORTH_PROCESSES = 20_000
 
 # Parent, child, their trajectories, and the settings.
@@ -102,19 +101,16 @@ def calibrate_pairs(
     names = [base, *(name for name in trajectories if name != base)]
     order = sorted(names, key=lambda name: config.of(name).scale == 'free').index
     found: dict[frozenset[str], PairAnswer | PairFailure] = {}
-    in_processes = False
+    worth = sum(map(len, trajectories.values())) >= _WORTH_PROCESSES
+    executor = Executor(processes=config.processes or (0 if worth else 1))
 
     def extend(wanted: Iterable[tuple[str, str]], most: int = 0) -> list[PairAnswer]:
         """Calibrate pairs that are new, with so many poses at most; return all answers."""
-        nonlocal in_processes
         new = dict.fromkeys((min(pair, key=order), max(pair, key=order)) for pair in wanted
                             if frozenset(pair) not in found)
         tasks = [(parent, child, _thinned(trajectories[parent], most),
                   _thinned(trajectories[child], most), config) for parent, child in new]
-        # Those of earlier pairs are started already.
-        in_processes = in_processes or _need_processes(tasks, config.processes)
-        count = Executor(processes=config.processes).count if in_processes else 1
-        found.update(zip(map(frozenset, new), _run(tasks, count), strict=True))
+        found.update(zip(map(frozenset, new), _run(tasks, executor), strict=True))
         return sorted_out(found.values())[0]
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
@@ -122,7 +118,7 @@ def calibrate_pairs(
         return sorted_out(found.values())
     answers = extend((base, name) for name in names[1:])
     if config.pairs == 'auto':
-        hubs = _hubs(answers, names, config)
+        hubs = _hubs(answers, base, config)
         answers = extend(((hub, name) for hub in hubs for name in names if name != hub),
                          _CHECKED_POSES)
     # Sensors that the base does not reach may reach each other.
@@ -131,16 +127,15 @@ def calibrate_pairs(
     return sorted_out(found.values())
 
 
-def _hubs(answers: Sequence[PairAnswer], names: Sequence[str], config: RigConfig) -> list[str]:
+def _hubs(answers: Sequence[PairAnswer], base: str, config: RigConfig) -> list[str]:
     """Return the sensors that are known best against the base, one whose unit is known first."""
-    def badness(name: str) -> tuple[bool, float]:
-        for answer in answers:
-            if name in (answer.parent, answer.child):
-                # The geometric mean, so that a height that all leave unobserved decides nothing.
-                values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
-                return config.of(name).scale == 'free', float(np.mean(np.log(values)))
-        return True, np.inf
-    return sorted(names[1:], key=badness)[:_HUBS]
+    badness = {}
+    for answer in answers:
+        name, = {answer.parent, answer.child} - {base}
+        # The geometric mean, so that a height that all leave unobserved decides nothing.
+        values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
+        badness[name] = config.of(name).scale == 'free', float(np.mean(np.log(values)))
+    return sorted(badness, key=badness.__getitem__)[:_HUBS]
 
 
 def connected(names: Sequence[str], answers: Sequence[PairAnswer]) -> list[list[str]]:
@@ -160,18 +155,12 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
         poses=trajectory.poses[::stride], findings=())
 
 
-def _need_processes(tasks: Sequence[_Task], processes: int) -> bool:
-    """Return whether pairs are calibrated in processes: if asked for, or if it is faster."""
-    work = sum(min(len(a), len(b)) for _, _, a, b, _ in tasks)
-    return bool(processes) or (work >= _WORTH_PROCESSES and find_spec('joblib') is not None)
-
-
-def _run(tasks: Sequence[_Task], processes: int) -> list[PairAnswer | PairFailure]:
+def _run(tasks: Sequence[_Task], executor: Executor) -> list[PairAnswer | PairFailure]:
     """Calibrate pairs, here where there is one process."""
-    count = min(processes, len(tasks))
+    count = min(executor.count, len(tasks))
     if count < 2:
         return list(map(_calibrated, tasks))
     # Not forked: whoever calls may have threads, of ROS or a notebook, whose locks a copy of the
     # process would keep for ever.
-    found = Executor(processes=count).unordered(_calibrated, tasks)
+    found = replace(executor, processes=count).unordered(_calibrated, tasks)
     return [answer for _, answer in sorted(found, key=itemgetter(0))]

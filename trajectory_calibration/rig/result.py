@@ -19,7 +19,7 @@ from trajectory_calibration.assessment.observability import (
     UNOBSERVED,
 )
 from trajectory_calibration.config.settings import CalibrationConfig
-from trajectory_calibration.config.yaml_file import read_yaml, write_yaml
+from trajectory_calibration.config.yaml_file import load_yaml, write_yaml
 from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.errors import CalibrationError, ResultError
 from trajectory_calibration.geometry import se3
@@ -148,7 +148,7 @@ class RigResult:
     free : (M,) names of the sensors that are no root of a tree.
     pairs : every pair that was tried.
     contradictions : sensors that do not fit, the worst first.
-    chi_squared, degrees, p_value : of all loops.
+    chi_squared, degrees : of all loops.
     findings : what a person or a program should know, worst first.
     config : the settings.
     recordings : ``recording_of`` each trajectory; another rig shares errors that shares one. Empty
@@ -165,11 +165,15 @@ class RigResult:
     contradictions: tuple[Contradiction, ...]
     chi_squared: float
     degrees: int
-    p_value: float
     findings: tuple[Finding, ...]
     config: RigConfig
     recordings: tuple[str, ...] = ()
     version: str = __version__
+
+    @property
+    def p_value(self) -> float:
+        """Return how often chance alone exceeds the chi-squared of the loops."""
+        return exceedance(self.chi_squared, self.degrees)
 
     @property
     def trees(self) -> dict[str, tuple[str, ...]]:
@@ -256,8 +260,7 @@ class RigResult:
                 covariance=finite(np.reshape(data['covariance'], shape), shape),
                 pairs=tuple(_pair_from_dict(item) for item in data['pairs']),
                 contradictions=tuple(Contradiction(**item) for item in data['contradictions']),
-                chi_squared=float(data['chi_squared']),
-                degrees=int(data['degrees_of_freedom']), p_value=float(data['p_value']),
+                chi_squared=float(data['chi_squared']), degrees=int(data['degrees_of_freedom']),
                 findings=tuple(map(Finding.from_dict, data['findings'])),
                 config=RigConfig.from_saved(data['config']),
                 recordings=tuple(map(str, data.get('recordings', ()))),
@@ -274,14 +277,8 @@ class RigResult:
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RigResult:
         """Read what ``save`` wrote; raises ResultError."""
-        data = read_yaml(Path(path), 'a rig', ResultError)
-        if not isinstance(data, dict):
-            raise ResultError(f'{path} holds no rig; needed what save() wrote')
-        try:
-            return cls.from_dict(data)
-        except ResultError as error:
-            # Of several files a person must know which.
-            raise ResultError(f'{path}: {error}') from error
+        return load_yaml(Path(path), cls.from_dict, ResultError, 'a rig',
+                         'no rig; needed what save() wrote')
 
 
 def is_rig(path: Path) -> bool:
@@ -311,14 +308,10 @@ def twist_rows(rig: RigResult, name: str) -> FloatArray:
 def _sensor_to_dict(sensor: SensorAnswer) -> dict[str, Any]:
     T = sensor.T_base_sensor
     values = {
-        **vars(sensor),
+        **asdict(sensor),
         'T_base_sensor': {'translation': T[:3, 3].tolist(),
                           'rotation_xyzw': se3.rotation_to_quaternion(T[:3, :3]).tolist()},
-        'covariance': sensor.covariance.tolist(),
-        'status': dict(sensor.status),
-        'clock': asdict(sensor.clock),
-        'noise': None if sensor.noise is None else asdict(sensor.noise),
-    }
+        'covariance': sensor.covariance.tolist()}
     del values['name']
     return values
 
@@ -342,9 +335,9 @@ def _pair_to_dict(pair: PairReport) -> dict[str, Any]:
 
 
 def _pair_from_dict(data: Mapping[str, Any]) -> PairReport:
-    none = float('nan')
-    of_arrays = {
-        name: np.full(6, none) if data[name] is None else np.array(data[name], dtype=np.float64)
-        for name in ('residual', 'std')}
-    chi_squared = none if data['chi_squared'] is None else float(data['chi_squared'])
-    return PairReport(**{**data, **of_arrays, 'chi_squared': chi_squared})
+    # None is NaN to NumPy.
+    values = {name: np.array(data[name], dtype=np.float64) for name in (
+        'residual', 'std', 'chi_squared')}
+    return PairReport(**{
+        **data, **{name: np.broadcast_to(values[name], 6) for name in ('residual', 'std')},
+        'chi_squared': float(values['chi_squared'])})

@@ -27,12 +27,12 @@ def read_results(
     found: dict[frozenset[str], list[tuple[Path, CalibrationResult]]] = {}
     failures = []
     for path in sorted(paths, key=natural_key):
-        result = _read(path)
-        if isinstance(result, ResultError):
-            failures.append(str(result))
-        else:
-            found.setdefault(frozenset((result.frame_a, result.frame_b)), []).append(
-                (path, result))
+        try:
+            result = CalibrationResult.load(path)
+        except ResultError as error:
+            failures.append(str(error))
+            continue
+        found.setdefault(frozenset((result.frame_a, result.frame_b)), []).append((path, result))
     if not found:
         raise ConfigError(
             f'{folder} is no folder; needed one with results' if not folder.is_dir() else
@@ -52,13 +52,6 @@ def read_results(
             'rig-result-unread', f'not read: {"; ".join(failures[:_NAMED])}{more}',
             {'files': len(failures)}))
     return [result for _, result in used.values()], tuple(findings)
-
-
-def _read(path: Path) -> CalibrationResult | ResultError:
-    try:
-        return CalibrationResult.load(path)
-    except ResultError as error:
-        return error
 
 
 def _end_ns(result: CalibrationResult) -> float:

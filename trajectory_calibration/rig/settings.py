@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, MISSING
 from typing import Any
 
 from trajectory_calibration.config.prior import parse_prior, Prior
-from trajectory_calibration.config.settings import CalibrationConfig
+from trajectory_calibration.config.settings import CalibrationConfig, Option
 from trajectory_calibration.errors import ConfigError, unknown_name
 from trajectory_calibration.solvers import solver_info, solvers_that_estimate
 
@@ -38,14 +38,7 @@ class SensorSettings:
     prior_rotation_std: str = ''
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, (int, float)) and not isinstance(value, bool):
-                # YAML makes a number of 0.01.
-                object.__setattr__(self, item.name, str(value))
-            elif not isinstance(value, str):
-                raise ConfigError(f'{item.name} is {value!r}, needed a text')
-        _require_one_of('scale', self.scale, SCALES)
+        _check(self)
         _ = self.prior
 
     @property
@@ -96,16 +89,7 @@ class RigConfig:
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
 
     def __post_init__(self) -> None:
-        _require_one_of('pairs', self.pairs, PAIRS)
-        if type(self.processes) is not int or self.processes < 0:
-            raise ConfigError(
-                f'processes is {self.processes!r}, needed a whole number from 0 up')
-        if not isinstance(self.leave_out_contradicting, bool):
-            raise ConfigError(
-                f'leave_out_contradicting is {self.leave_out_contradicting!r}, needed true or '
-                'false')
-        if not isinstance(self.base, str):
-            raise ConfigError(f'base is {self.base!r}, needed the name of a sensor')
+        _check(self)
         if self.calibration.prior.given:
             raise ConfigError('a rig has a prior for each sensor, not one for all; write '
                               'prior_translation and the others below the sensor')
@@ -151,15 +135,19 @@ class RigConfig:
     @classmethod
     def from_saved(cls, values: Mapping[str, Any]) -> RigConfig:
         """Rebuild the configuration of a saved rig; see ``CalibrationConfig.from_saved``."""
-        known, of_sensor = ({item.name for item in fields(kind)} for kind in (cls, SensorSettings))
         return cls(**{
-            **{name: value for name, value in values.items() if name in known},
+            **known_of(cls, values),
             'sensors': {
-                str(name): SensorSettings(**{key: value for key, value in _lines(
-                    given, f'sensor {name}').items() if key in of_sensor})
+                str(name): SensorSettings(
+                    **known_of(SensorSettings, _lines(given, f'sensor {name}')))
                 for name, given in _lines(values['sensors'], 'sensors').items()},
             'calibration': CalibrationConfig.from_saved(
                 _lines(values['calibration'], 'calibration'))})
+
+
+def known_of(kind: type[SensorSettings | RigConfig], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of the values that are settings of a kind."""
+    return {item.name: values[item.name] for item in fields(kind) if item.name in values}
 
 
 def require_known(values: Iterable[str], known: Sequence[str], where: str) -> None:
@@ -175,6 +163,10 @@ def _lines(value: Any, name: str) -> Mapping[str, Any]:
     return value
 
 
-def _require_one_of(name: str, value: Any, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ConfigError(f'{name} is {value!r}, needed one of {", ".join(known)}')
+def _check(config: SensorSettings | RigConfig) -> None:
+    """Raise ConfigError for a value of the wrong type, and make a number for a text its text."""
+    for item in fields(config):
+        if item.default is not MISSING:
+            option = Option(item.name, item.default, '', minimum=0,
+                            choices={'scale': SCALES, 'pairs': PAIRS}.get(item.name, ()))
+            object.__setattr__(config, item.name, option.check(getattr(config, item.name)))

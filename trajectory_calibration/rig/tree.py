@@ -26,22 +26,18 @@ from trajectory_calibration.rig.noise import (
 )
 from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.shared_noise import (
-    assumed_correlations,
     carried_to_stated,
-    correlations,
+    half_shared,
     joint_covariance,
     ROUNDING,
     twist_to_step,
 )
 from trajectory_calibration.rig.windows import (
-    CLOCK,
     Clock,
     common_grid,
     Grid,
     levels_of,
-    SCALE,
     track_of,
-    TWIST,
     WindowLevel,
 )
 
@@ -53,9 +49,6 @@ _CLOCK_STD_S = 1e-3
 
 # A log scale that is rounding of the one that was not looked for.
 _ROUNDING = 1e-5
-
-# Of a scale that was not looked for, relative to one that was.
-_KNOWN_SCALE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +107,6 @@ def build_tree(
     names: Sequence[str],
     pairs: Sequence[PairAnswer],
     trajectories: Mapping[str, Trajectory],
-    free_scale: Sequence[bool],
     settings: CalibrationConfig,
 ) -> Tree:
     """Return the tree of sensors ``names`` (the base first), which ``pairs`` connect.
@@ -126,12 +118,12 @@ def build_tree(
     sensors = len(names)
     stated = np.stack([pair.covariance + np.diag(ROUNDING**2) for pair in pairs])
     answers = np.stack([result.T_a_b for result in results])
-    epoch_ns = _epoch(trajectories, names, results)
-    told = [clock_of(result) for result in results]
-    clocks = _clocks(sensors, ends, told, _CLOCK_STD_S**2 * np.eye(len(pairs)), epoch_ns)
-    logs = np.log([result.scale for result in results])
-    scales = np.exp(fuse_numbers(
-        sensors, ends, logs, np.diag(np.where(logs == 0.0, _KNOWN_SCALE**2, 1.0)))[0])
+    clocks = _clocks(sensors, ends, results)
+    logs, stds = fuse_numbers(
+        sensors, ends, np.log([result.scale for result in results]),
+        np.maximum([log_scale_std_of(result) for result in results], 0.1 * _ROUNDING))
+    unit = (np.abs(logs) < _ROUNDING) & (stds < _ROUNDING)
+    scales, stds = np.where(unit, 1.0, np.exp(logs)), np.where(unit, 0.0, np.exp(logs) * stds)
     # Those of the pairs are in metres of their parents.
     of_parents = scales[[i for i, _ in ends]]
     answers[:, :3, 3] *= of_parents[:, None]
@@ -141,36 +133,22 @@ def build_tree(
     start = _agree_in_what_is_unobserved(answers, stated, ends, sensors, limits)
     levels: list[WindowLevel] = []
     grid = None
-    if all(name in trajectories for name in names):
+    if trajectories:
         grid = common_grid([
             track_of(trajectories[name], clock, float(scale), X)
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
             round(settings.max_gap * 1e9))
         levels = levels_of(grid)
-    log_scale_stds = np.array([log_scale_std_of(result) for result in results])
     noise: FloatArray | None = None
     sensor_noise: Sequence[SensorNoise | None] = [None] * sensors
-    together = assumed_correlations(sensors, ends)
-    of_logs = np.diag(np.maximum(log_scale_stds, 0.1 * _ROUNDING)**2)
+    M = np.einsum('pq,ab->paqb', half_shared(sensors, ends), np.eye(6))
     if len(levels) >= _FEWEST_LEVELS:
         variances = sensor_variances(levels, start)
         noise, sensor_noise = covariances(variances, start), white_and_drift(levels, variances)
-        M = joint_covariance(levels, noise, ends, free_scale)
-        together = correlations(M[:, TWIST][:, :, :, TWIST])
-        # The solvers state more or less than the windows have: clocks and scales follow them.
-        stds = np.array([clock.offset_std_s for clock in told])
-        clocks = _clocks(sensors, ends, told, _raised(M[:, CLOCK, :, CLOCK], stds), epoch_ns)
-        # Where no scale was looked for, it is as known as the unit of the sensors.
-        looked = np.where(logs == 0.0, _KNOWN_SCALE, 1.0)
-        of_logs = _raised(M[:, SCALE, :, SCALE] * np.outer(looked, looked), log_scale_stds)
-        scales = np.exp(fuse_numbers(sensors, ends, logs, of_logs)[0])
-    stds = scales * np.maximum(fuse_numbers(sensors, ends, logs, of_logs)[1],
-                               _of_base(sensors, ends, log_scale_stds))
-    unit = (np.abs(np.log(scales)) < _ROUNDING) & (stds < _ROUNDING)
-    scales[unit], stds[unit] = 1.0, 0.0
+        M = joint_covariance(levels, noise, ends)
     return Tree(
         tuple(names), ends, clocks, scales, stds, answers,
-        carried_to_stated(together, stated, start, ends), start, limits, tuple(sensor_noise),
+        carried_to_stated(M, stated, start, ends), start, limits, tuple(sensor_noise),
         tuple(levels), noise, grid)
 
 
@@ -185,25 +163,6 @@ def log_scale_std_of(result: CalibrationResult) -> float:
     """Return the deviation of the logarithm of a result's scale; 0 where none is told."""
     diagnosis = result.diagnosis or {}
     return float(diagnosis.get('scale_deviation') or 0.0) / float(diagnosis.get('scale') or 1.0)
-
-
-def _raised(V: FloatArray, stds: FloatArray) -> FloatArray:
-    """Return the (P, P) covariance with no deviation below the (P,) that the pairs state."""
-    own = np.sqrt(np.maximum(np.diagonal(V), 1e-24))
-    factor = np.maximum(1.0, stds / own)
-    return V * np.outer(factor, factor)
-
-
-def _of_base(sensors: int, ends: Sequence[tuple[int, int]], stds: FloatArray) -> FloatArray:
-    """Return the (S,) deviations that the pairs with the base state, 0 where none is.
-
-    The noise of the base is in every pair, so other pairs make a number no surer than this.
-    """
-    found = np.zeros(sensors)
-    for pair, std in zip(ends, stds, strict=True):
-        if 0 in pair:
-            found[max(pair)] = std
-    return found
 
 
 def _agree_in_what_is_unobserved(
@@ -221,26 +180,16 @@ def _agree_in_what_is_unobserved(
     return start
 
 
-def _epoch(
-    trajectories: Mapping[str, Trajectory], names: Sequence[str],
-    results: Sequence[CalibrationResult],
-) -> int:
-    """Return a stamp near which the clocks are compared."""
-    if names[0] in trajectories:
-        stamps_ns = trajectories[names[0]].stamps_ns
-        return int(stamps_ns[len(stamps_ns) // 2])
-    return next((result.clock_drift_from_ns for result in results if result.clock_drift), 0)
-
-
 def _clocks(
-    sensors: int, ends: Sequence[tuple[int, int]], told: Sequence[Clock], V: FloatArray,
-    epoch_ns: int,
+    sensors: int, ends: Sequence[tuple[int, int]], results: Sequence[CalibrationResult],
 ) -> tuple[Clock, ...]:
     """Return the clock of each sensor against the base, consistent round every loop."""
-    drifts, at_epoch, own_stds = np.array([
-        (clock.drift, clock.at(epoch_ns), clock.offset_std_s) for clock in told]).T
-    offsets, stds = fuse_numbers(sensors, ends, at_epoch, V)
-    stds = np.maximum(stds, _of_base(sensors, ends, own_stds))
+    epoch_ns = next((result.clock_drift_from_ns for result in results if result.clock_drift), 0)
+    told = [clock_of(result) for result in results]
+    stds = np.array([clock.offset_std_s or _CLOCK_STD_S for clock in told])
+    offsets, stds_of = fuse_numbers(
+        sensors, ends, np.array([clock.at(epoch_ns) for clock in told]), stds)
+    drifts, _ = fuse_numbers(sensors, ends, np.array([clock.drift for clock in told]), stds)
     return tuple(
-        Clock(float(offset), float(drift), epoch_ns, float(std)) for offset, drift, std in zip(
-            offsets, fuse_numbers(sensors, ends, drifts, V)[0], stds, strict=True))
+        Clock(float(offset), float(drift), epoch_ns, float(std))
+        for offset, drift, std in zip(offsets, drifts, stds_of, strict=True))

@@ -15,19 +15,16 @@ The reference track cancels in what two sensors differ by, so it need not be goo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.interpolation import interpolate, left_of
 from trajectory_calibration.geometry.se3 import FloatArray
-
-# Columns of a jacobian: the twist of an extrinsic, the clock (s), the log scale.
-TWIST, CLOCK, SCALE, UNKNOWNS = slice(0, 6), 6, 7, 8
 
 # More samples of the grid than this change no covariance.
 _MOST_SAMPLES = 8192
@@ -57,14 +54,9 @@ class Clock:
     epoch_ns: int = 0
     offset_std_s: float = 0.0
 
-    def apply(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return (N,) stamps of the sensor as stamps of the base."""
-        drifted = self.drift * (stamps_ns - self.epoch_ns).astype(np.float64)
-        return stamps_ns + np.rint(drifted + 1e9 * self.offset_s).astype(np.int64)
-
-    def at(self, stamp_ns: int) -> float:
-        """Return by how much, seconds, stamps near ``stamp_ns`` of the sensor are corrected."""
-        return self.offset_s + self.drift * (stamp_ns - self.epoch_ns) * 1e-9
+    def at(self, stamps_ns: ArrayLike) -> FloatArray:
+        """Return (N,) seconds to add to (N,) stamps of the sensor."""
+        return self.offset_s + self.drift * 1e-9 * (np.asarray(stamps_ns) - self.epoch_ns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +68,7 @@ class WindowLevel:
     samples : of the grid in half a window; the windows follow one another from the first sample.
     metres : driven from the middle of the first half to that of the second, on average.
     differences : (S, W, 6), of each sensor and window, base frame, metres and radians.
-    jacobian : (W, 6, 8), of a difference by a step of the unknowns of its sensor.
+    jacobian : (W, 6, 6), of a difference by a twist of the extrinsic of its sensor.
     known : (S, W), whether the sensor covers the window.
 
     """
@@ -86,12 +78,6 @@ class WindowLevel:
     differences: FloatArray
     jacobian: FloatArray
     known: NDArray[np.bool_]
-
-    def patterns(self) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-        """Yield numbers of sensors and the windows that these and no others cover."""
-        patterns, which = np.unique(self.known.T, axis=0, return_inverse=True)
-        for p, pattern in enumerate(patterns):
-            yield np.flatnonzero(pattern), np.flatnonzero(which.ravel() == p)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +107,9 @@ class Grid:
 
 def track_of(trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray) -> Track:
     """Return the track of the base that a sensor with the pose ``X`` (4, 4) in it has driven."""
-    poses = trajectory.scaled(scale).poses @ se3.inverse(X)
-    return Track(clock.apply(trajectory.stamps_ns), poses)
+    late_ns = np.rint(1e9 * clock.at(trajectory.stamps_ns)).astype(np.int64)
+    return Track(trajectory.stamps_ns + late_ns,
+                 trajectory.scaled(scale).poses @ se3.inverse(X))
 
 
 def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
@@ -145,13 +132,11 @@ def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
 
 def levels_of(grid: Grid) -> list[WindowLevel]:
     """Return the windows of every length, the shortest first."""
-    reference = _reference(grid)
-    seconds = (grid.stamps_ns - grid.stamps_ns[0]) * 1e-9
-    jacobian = _jacobian(reference, seconds)
     # A node: where the base is (its sample of the reference) and what each sensor says of it.
-    at, said = reference, grid.poses.copy()
+    (at, of_pose), said = _reference(grid), grid.poses
+    jacobian = np.broadcast_to(-np.eye(6), (len(at), 6, 6))
     covered = grid.known.astype(np.float64)
-    information = np.broadcast_to(_weights(grid, reference), (len(at), 6, 6)).copy()
+    information = np.broadcast_to(of_pose, (len(at), 6, 6))
     levels: list[WindowLevel] = []
     while len(at) >= 2 * _FEWEST_WINDOWS:
         count = len(at) // 2 * 2
@@ -184,52 +169,19 @@ def levels_of(grid: Grid) -> list[WindowLevel]:
     return levels
 
 
-def _reference(grid: Grid) -> FloatArray:
-    """Return (K, 4, 4) the base in one world: the best covered sensor, its holes filled."""
+def _reference(grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """Return (K, 4, 4) the base in one world: its steps as the best covered sensor has them.
+
+    Also the (6, 6) information of one pose: how positions and attitudes compare.
+    """
     order = np.argsort(-grid.known.sum(axis=1), kind='stable')
-    poses, known = grid.poses[order[0]].copy(), grid.known[order[0]].copy()
-    for s in order[1:]:
-        fillable = grid.known[s] & ~known
-        for start, end in _runs(fillable):
-            # Joined where both are known: at the sample before the hole, or after it.
-            for join in (start - 1, end):
-                if 0 <= join < len(known) and known[join] and grid.known[s, join]:
-                    world = poses[join] @ se3.inverse(grid.poses[s, join])
-                    poses[start:end] = world @ grid.poses[s, start:end]
-                    known[start:end] = True
-                    break
-    # What nobody covers is no window of anybody: any pose will do.
-    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
-    first = int(np.argmax(known))
-    return poses[np.where(last < 0, first, last)]
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
-def _jacobian(reference: FloatArray, seconds: FloatArray) -> FloatArray:
-    """Return (K, 6, 8): what a step of the unknowns does to a pose, in the frame of the base."""
-    jacobian = np.zeros((len(reference), 6, UNKNOWNS))
-    jacobian[:, :, TWIST] = -np.eye(6)
-    twist = se3.log_se3(se3.inverse(reference[:-1]) @ reference[1:]) / np.diff(seconds)[:, None]
-    # The mean of the steps before and after; of the first and the last, the one there is.
-    padded = np.concatenate([twist[:1], twist, twist[-1:]])
-    jacobian[:, :, CLOCK] = 0.5 * (padded[1:] + padded[:-1])
-    way = reference[:, :3, 3] - reference[len(reference) // 2, :3, 3]
-    jacobian[:, :3, SCALE] = np.einsum('kji,kj->ki', reference[:, :3, :3], way)
-    return jacobian
-
-
-def _weights(grid: Grid, reference: FloatArray) -> FloatArray:
-    """Return (6, 6) the information of one pose: how positions and attitudes compare."""
-    moved = se3.inverse(reference[:-1]) @ reference[1:]
     both = grid.known[:, :-1] & grid.known[:, 1:]
-    steps = (se3.inverse(grid.poses[:, :-1]) @ grid.poses[:, 1:])[both]
-    squares = se3.log_se3(se3.inverse(moved[np.nonzero(both)[1]]) @ steps)**2
-    squares = squares[squares.any(axis=1)]
-    if not len(squares):
-        return np.eye(6)
-    usual = np.median(squares.reshape(-1, 2, 3).sum(axis=2), axis=0)
-    return np.diag(np.repeat(1.0 / np.maximum(usual, 1e-20), 3))
+    steps = se3.inverse(grid.poses[:, :-1]) @ grid.poses[:, 1:]
+    best = steps[order[np.argmax(both[order], axis=0)], np.arange(both.shape[1])]
+    # What nobody covers is no window of anybody: any step will do.
+    best[~both.any(axis=0)] = np.eye(4)
+    squares = se3.log_se3((se3.inverse(best) @ steps)[both])**2
+    squares = squares[squares.any(axis=1)].reshape(-1, 2, 3).sum(axis=2)
+    usual = np.median(squares, axis=0) if len(squares) else np.ones(2)
+    return (np.stack(list(accumulate(best, np.matmul, initial=np.eye(4)))),
+            np.diag(np.repeat(1.0 / np.maximum(usual, 1e-20), 3)))
