@@ -255,8 +255,8 @@ class _Terminal(io.StringIO):
 def test_progress_on_a_terminal_is_drawn_and_cleared(monkeypatch):
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
-    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
-    monkeypatch.setattr(progress, '_TICK_S', 0.001)
+    monkeypatch.setattr(progress, '_DELAY_S', 0.0)
+    monkeypatch.setattr(progress, '_UPDATE_S', 0.001)
     with progress.progress('reading') as draw:
         for done, bar in ((1, '[########......................]  25%'), (4, '100%')):
             draw(done, 4)
@@ -271,7 +271,7 @@ def test_short_work_and_files_see_no_progress(monkeypatch):
     with progress.progress('reading') as draw:
         draw(1, 2)
     monkeypatch.setattr(sys, 'stderr', file)
-    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
+    monkeypatch.setattr(progress, '_DELAY_S', 0.0)
     with progress.progress('reading') as draw:
         draw(1, 2)
     assert (terminal.getvalue(), file.getvalue()) == ('', '')
@@ -285,7 +285,7 @@ def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
                  'inspect': [a],
                  'simulate': ['--output', str(tmp_path / 'out'), '--scenario', 'noise',
                               '--force']}[command]
-    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
+    monkeypatch.setattr(progress, '_DELAY_S', 0.0)
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
     assert main([command, *arguments]) == 0
@@ -306,8 +306,8 @@ def test_long_work_shows_a_clock_on_a_terminal_and_clears_it(
 def test_a_clock_counts_and_is_cleared_before_an_error(monkeypatch):
     terminal = _Terminal()
     monkeypatch.setattr(sys, 'stderr', terminal)
-    monkeypatch.setattr(progress, '_PATIENCE_S', 0.0)
-    monkeypatch.setattr(progress, '_TICK_S', 0.01)
+    monkeypatch.setattr(progress, '_DELAY_S', 0.0)
+    monkeypatch.setattr(progress, '_UPDATE_S', 0.01)
     with pytest.raises(SolverError), progress.progress('calibrating'):
         while terminal.getvalue().count('calibrating') < 3:
             time.sleep(0.01)

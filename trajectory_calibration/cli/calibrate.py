@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration calibrate``: files or topics in, the extrinsic out."""
+"""``trajectory_calibration calibrate``: estimate the extrinsic from files or topics."""
 
 from __future__ import annotations
 
@@ -78,14 +78,15 @@ def run(arguments: argparse.Namespace) -> int:
         with progress('calibrating'):
             result = calibrate(a, b, config)
     except ConfigError:
-        # Wrong usage says nothing of the data.
+        # Wrong usage: a report about the data would be pointless.
         raise
     except CalibrationError as error:
         if arguments.report is not None:
             write_failure(error, loaded, config, arguments)
         raise
     written = [] if arguments.output is None else [arguments.output]
-    # No file that cannot be written takes the answer away, and no reader that has gone the files.
+    # The answer is printed even if a file cannot be written, and the files are written even if
+    # the pipe is closed.
     try:
         _print(result, truth, arguments)
     finally:
@@ -98,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that will be written."""
+    """Return the output files."""
     files = plot_paths(arguments.plots)
     if arguments.output is not None:
         from trajectory_calibration.outputs.exports import EXPORT_FILES
@@ -110,12 +111,12 @@ def _files(arguments: argparse.Namespace) -> list[Path]:
 
 
 def _write(result: CalibrationResult, truth: FloatArray | None, folder: Path) -> None:
-    """Write the result, the transform as one row that other tools read, and the exports."""
+    """Write the result, the transform as a TUM row, and the exports."""
     from trajectory_calibration.outputs.exports import encode_exports, EXPORT_FILES, EXPORTS
     item = Placement.of(result)
     contents: dict[str, str | bytes] = {}
     if not item.kept_back:
-        # A row, unlike a tree of frames, needs no two names.
+        # Unlike the other exports, a row needs no two different frame names.
         contents[TRANSFORM_FILE] = EXPORTS['tum'].contents(item)
         if result.frame_a != result.frame_b:
             contents.update(encode_exports(item))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration compare``: saved results of the same sensors."""
+"""``trajectory_calibration compare``: compare saved results of the same sensors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from trajectory_calibration.outputs.fleet_page import fleet_page
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.result import is_rig
 
-# What --output is filled with.
+# The files in the folder --output.
 FILES = ('table.csv', 'table.json', 'fleet.html')
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'compare', help='tell whether saved results agree, or when the extrinsic changed',
+        'compare', help='find out whether saved results agree, or when the extrinsic changed',
         usage='%(prog)s [options] RESULT RESULT [RESULT ...]',
         description='Put results of the same sensors in the order of their dates, and find where '
         'the extrinsic changed. Exit status: 0 they agree, 4 they do not. Rigs (rig.yaml) are '
@@ -37,7 +37,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def add_output_options(parser: argparse.ArgumentParser, output: Path | None = None) -> None:
-    """Add how the table is printed and where it is written."""
+    """Add ``--format`` and ``--output`` for the table."""
     parser.add_argument(
         '--format', choices=('text', 'csv', 'json'), default='text', help='output format')
     written = f'(default: {output})' if output else '(default: none is written)'

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration export``: a saved result in the formats of other tools."""
+"""``trajectory_calibration export``: write a saved result in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _require_of_rigs(arguments: argparse.Namespace) -> None:
-    """Raise ConfigError for a format or an option that a rig does not have."""
+    """Raise ConfigError for a format or an option that is not available for a rig."""
     if arguments.format not in RIG_FILES:
         raise ConfigError(
             f'{arguments.format} holds one transform, and {arguments.result} is a rig; needed '
@@ -111,7 +111,7 @@ def _require_of_rigs(arguments: argparse.Namespace) -> None:
 
 
 def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
-    """Return the placement between the frames that were asked for."""
+    """Return the placement between the frames of the options."""
     if arguments.invert:
         item = item.inverted()
     tree = None if arguments.parent_urdf is None else FrameTree.read(arguments.parent_urdf)
@@ -133,9 +133,9 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
         item = (item.under(frame, T_frame_sensor) if end == 'parent'
                 else item.holding(frame, T_frame_sensor))
     joint = None if tree is None else tree.joints.get(item.child)
-    present = joint.parent if joint else ''
-    if present not in ('', item.parent):
+    parent = joint.parent if joint else ''
+    if parent not in ('', item.parent):
         raise ConfigError(
-            f'{item.child} already has the parent {present} in {arguments.parent_urdf}, and a '
-            f'link has one; give --child {present}, so that {present} is placed in {item.parent}')
+            f'{item.child} already has the parent {parent} in {arguments.parent_urdf}, and a '
+            f'link has one; give --child {parent}, so that {parent} is placed in {item.parent}')
     return item

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration fleet``: many recordings of the same sensors, calibrated, compared."""
+"""``trajectory_calibration fleet``: calibrate and compare recordings of the same sensors."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ OUTPUT = Path('fleet')
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'fleet', help='calibrate each of many recordings, and tell when a sensor moved',
+        'fleet', help='calibrate many recordings, and find out when a sensor moved',
         usage='%(prog)s [options] JOBS.yaml | BAG ... --a A --b B',
-        description='Calibrate each recording by itself on all cores, and compare. Results stay '
-        'in the folder results of --output: the same command goes on where it was stopped. A '
+        description='Calibrate each recording separately on all cores, and compare. Results stay '
+        'in the folder results of --output: after an interruption, the same command continues. A '
         'recording without an answer is named with its reason. Exit status: 0 the answers agree, '
         '4 they do not, 1 fewer than two answers.')
     parser.add_argument(
@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """Add where the tasks run."""
+    """Add the options of an Executor."""
     # --jobs is of version 0.1.
     parser.add_argument('--processes', '--jobs', type=int, default=0, metavar='N',
                         help='processes of this machine (default: one per core)')
@@ -60,14 +60,14 @@ def run(arguments: argparse.Namespace) -> int:
                      config_from_arguments(arguments))
     results = arguments.output / 'results'
     others = results_of_others(results, jobs)
-    # An earlier part of the same run is gone on with.
+    # An interrupted run continues without --force.
     if others or not any(results.glob('*.yaml')):
         require_new([*(arguments.output / name for name in FILES), *others],
                     force=arguments.force)
     with progress('calibrating') as draw:
         done = {entry.name: entry
                 for entry in run_jobs(jobs, results, executor_of(arguments), draw)}
-    # Whichever was done first, and wherever: the same table.
+    # The order of completion does not matter: the table is always the same.
     entries = [done[job.name] for job in jobs]
     for entry in entries:
         if entry.result is None:
@@ -76,5 +76,5 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def executor_of(arguments: argparse.Namespace) -> Executor:
-    """Return where the tasks run that ``add_executor_options`` let a person choose."""
+    """Return the executor from the options of ``add_executor_options``."""
     return Executor(arguments.backend, arguments.processes, arguments.scheduler)

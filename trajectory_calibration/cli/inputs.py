@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The inputs of every subcommand that reads trajectories: options, and how they are loaded."""
+"""Inputs of the subcommands that read trajectories: their options, and loading them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 from trajectory_calibration.sources.layouts import QUATERNION_ORDERS, TIME_UNITS
 from trajectory_calibration.sources.text import is_bag
 
-# Options of files that may be given for both sensors, or for one.
+# Options of files, for both sensors (--NAME) or for one (--NAME-a, --NAME-b).
 _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
     ('columns', {'metavar': 'NAMES', 'help': 'names of the columns, for instance '
                  't,x,y,z,qw,qx,qy,qz; - skips a column'}),
@@ -33,7 +33,7 @@ _SHARED: tuple[tuple[str, dict[str, Any]], ...] = (
 
 
 def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -> None:
-    """Add A, B (which may be missing where not a ``pair``), ``--bag``, and how to read them."""
+    """Add A, B (optional unless ``pair``), ``--bag``, and the options of how to read them."""
     parser.add_argument(
         'a', metavar='A',
         help='sensor a, the parent: a file; with --bag a topic or tf:PARENT.CHILD')
@@ -57,14 +57,14 @@ def add_input_arguments(parser: argparse.ArgumentParser, *, pair: bool = True) -
 
 
 def add_bag_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--bag``, which ``split_bags`` allows several values."""
+    """Add ``--bag``; with ``split_bags`` it takes several values."""
     parser.add_argument(
         '--bag', action='append', default=[], metavar='BAG [BAG ...]',
         help='bags that hold the topics or transforms')
 
 
 def add_file_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of how to read files, for a command whose files are all alike."""
+    """Add the options of how to read files, for a command with the same options for all files."""
     parser.add_argument(
         '--times', type=Path, metavar='FILE', help='file with the times of the poses, one a line')
     for option, settings in _SHARED:
@@ -72,7 +72,7 @@ def add_file_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
-    """Return what was given for sensor 'a' or 'b', or for all files alike ('')."""
+    """Return the input options of sensor 'a' or 'b', or those of all files ('')."""
     given = vars(arguments)
     values: dict[str, Any] = {
         item.name: given.get(f'{item.name}_{sensor}') or given.get(item.name)
@@ -83,9 +83,9 @@ def options_of(arguments: argparse.Namespace, sensor: str = '') -> InputOptions:
 def load_pair(
     arguments: argparse.Namespace, frames: tuple[str | None, str | None] = (None, None),
 ) -> tuple[Trajectory, Trajectory]:
-    """Read A and B as the options of ``add_input_arguments`` say.
+    """Read A and B according to the options of ``add_input_arguments``.
 
-    The names of ``frames`` are for files, which carry none.
+    ``frames`` are the sensor frames of files, which hold no frame names.
     """
     inputs = {}
     for name, frame in zip('ab', frames, strict=True):
@@ -105,7 +105,7 @@ def load_pair(
 def split_bags(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with ``--bag x y`` as ``--bag x --bag y``.
 
-    Everything that follows ``--bag`` and is a bag on disk belongs to it; topics are none.
+    Arguments after ``--bag`` belong to it as long as they are bags on disk.
     """
     result: list[str] = []
     after_bag = False

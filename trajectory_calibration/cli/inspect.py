@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration inspect``: what is in a bag or a file, and whether it suffices."""
+"""``trajectory_calibration inspect``: show the content of bags and files, and rate the motion."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         description='Show the trajectories in bags and files: counts, rates, gaps, frames, and '
                     'whether their motion can determine an extrinsic.')
     parser.add_argument('paths', metavar='PATH', nargs='*', type=Path, help='bag or file')
-    # The other commands take bags so.
+    # For consistency with the other commands.
     parser.add_argument(
         '--bag', metavar='BAG', action='append', default=[], type=Path, help='the same as PATH')
     parser.add_argument('--format', choices=('text', 'json'), default='text', help='output format')
@@ -42,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Inspect each path and print what was found, then what could not be read."""
+    """Inspect each path and print the results, then the errors of those that cannot be read."""
     paths = [*arguments.paths, *arguments.bag]
     if not paths:
         arguments.parser.print_usage(sys.stderr)
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print('\n'.join(format_inspection(item, Terminal.of()) for item in inputs), end='')
     if errors:
-        # What was found comes first, also where both go to one terminal.
+        # Flushed, so that a terminal shows the results before the error.
         print(end='', flush=True)
         raise SourceError('; '.join(errors))
     return 0
@@ -69,7 +69,7 @@ def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with progress('reading'):
         trajectory, read_as = load_file(str(path), path.name, options)
     found = inspect_trajectory(trajectory, str(path), 'file')
-    # The path stands above the findings, and no format of files names its frames.
+    # The path is printed above the findings; file formats have no frame names.
     for one in found['findings']:
         one['text'] = one['text'].removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
     found.update(sensor_frame=None, world_frame=None, read_as=read_as,
@@ -78,7 +78,7 @@ def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:
-    # What bags need loads where a bag is read, and only there.
+    # Imported here because files need no bag reader.
     from trajectory_calibration.sources.bags import open_bags
     from trajectory_calibration.sources.cdr import TF
     with open_bags([path]) as reader, progress('reading') as draw:
@@ -92,7 +92,7 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
             for channel in reader.channels
             if channel.topic not in reader.serving and channel.msgtype != TF]
         notes = reader.notes
-    # The notes stand above all topics, so not once more with one of them.
+    # Notes are printed once for the bag, not again with each topic.
     found = [_inspect_topic(replace(track, warnings=tuple(
         warning for warning in track.warnings if warning not in notes)))
         for track in tracks.values()]
@@ -107,12 +107,12 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
 
 
 def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
-    """Describe a topic, or say why it is of no use."""
+    """Describe a topic, or return the reason why it is no trajectory."""
     try:
         found = inspect_trajectory(track.to_trajectory(), track.topic, track.msgtype)
     except SourceError as error:
         return {'topic': track.topic, 'msgtype': track.msgtype, 'messages': track.messages,
                 'error': str(error)}
-    # The transforms between two frames are some of those in a message.
+    # For a pair of TF frames the messages are not counted: each holds other transforms, too.
     counted = {} if track.topic.startswith(TF_PREFIX) else {'messages': track.messages}
     return {**found, **counted}

@@ -24,8 +24,7 @@ from trajectory_calibration.errors import CalibrationError, ConfigError, missing
 from trajectory_calibration.sources.text import is_bag
 from trajectory_calibration.version import __version__
 
-# A module of a subcommand offers add_parser(subparsers), and run(arguments), which returns the
-# exit status.
+# Each is a module with add_parser(subparsers) and run(arguments), which returns the exit status.
 _COMMANDS = (
     'calibrate', 'report', 'inspect', 'export', 'verify', 'compare', 'rig', 'fleet', 'simulate',
     'replay')
@@ -34,23 +33,23 @@ _COMMANDS = (
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; return its exit status, see ``exit_status``.
 
-    ``argv`` is without the program's name; that of the process where omitted.
+    ``argv`` are the arguments without the program's name, by default those of the process.
     """
     return guarded(_run, sys.argv[1:] if argv is None else argv)
 
 
 def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int:
-    """Run a command; name its failure on standard error and return the exit status."""
+    """Run a command; print its error on standard error and return the exit status."""
     for name in ('stdout', 'stderr'):
         if getattr(sys, name) is None:
-            # The caller closed it (>&-), which is no reason to end, in other processes either.
+            # The caller closed it (>&-): continue, also in child processes.
             setattr(sys, name, Path(os.devnull).open('w', encoding='utf-8'))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # Nor is a name of a frame that the terminal has no characters for.
+        # A frame name with characters that the terminal lacks must not raise.
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         status = command(argv)
-        # Unlike sys.stdout.flush(), this tries again what argparse failed to write in silence.
+        # argparse ignores write errors; unlike sys.stdout.flush(), this raises them.
         print(end='', flush=True)
     except CalibrationError as error:
         return _fail(str(error), exit_status.USAGE if isinstance(error, ConfigError)
@@ -60,7 +59,7 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
     except KeyboardInterrupt:
         return exit_status.INTERRUPTED
     except BrokenPipeError:
-        # The reader, head for instance, has seen enough.
+        # The reader, such as head, closed the pipe.
         _discard_output()
         return exit_status.DONE
     except OSError as error:
@@ -75,7 +74,7 @@ def guarded(command: Callable[[Sequence[str]], int], argv: Sequence[str]) -> int
 def _run(argv: Sequence[str]) -> int:
     parser, commands = _parser(argv)
     if '_ARGCOMPLETE' in os.environ:
-        # A shell completes a command; the extra ``completion`` may not be installed.
+        # Shell completion; the extra ``completion`` may not be installed.
         with suppress(ModuleNotFoundError):
             import argcomplete
             argcomplete.autocomplete(parser)
@@ -92,17 +91,17 @@ def _run(argv: Sequence[str]) -> int:
 def _describe_unknown(
     argument: str, argv: Sequence[str], commands: Mapping[str, argparse.ArgumentParser],
 ) -> str:
-    """Return what is wrong with an argument that a command does not take."""
+    """Return the error message for an argument that a command does not know."""
     command = next(name for name in argv if name in _COMMANDS)
     given = argument.partition('=')[0]
     near = get_close_matches(
         given, re.findall(r'--[a-z-]+', commands[command].format_help()), n=1)
-    meant = f'; did you mean {near[0]}?' if near else '.'
-    what = 'option' if given.startswith('-') else 'argument'
+    hint = f'; did you mean {near[0]}?' if near else '.'
+    kind = 'option' if given.startswith('-') else 'argument'
     bags = [name for name in argv if is_bag(Path(name))]
-    if what == 'argument' and bags and '--bag' not in argv:
-        meant = f'; a bag is an option: --bag {shlex.quote(bags[0])}.'
-    return f'{command} takes no {what} {given}{meant} See {command} --help'
+    if kind == 'argument' and bags and '--bag' not in argv:
+        hint = f'; a bag is an option: --bag {shlex.quote(bags[0])}.'
+    return f'{command} takes no {kind} {given}{hint} See {command} --help'
 
 
 def _fail(reason: str, status: int) -> int:
@@ -111,7 +110,7 @@ def _fail(reason: str, status: int) -> int:
 
 
 def _discard_output() -> None:
-    """Give Python, which flushes standard output once more at exit, a place where that works."""
+    """Redirect standard output to the null device: Python flushes it again at exit."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
@@ -119,15 +118,15 @@ def _discard_output() -> None:
 def _parser(
     argv: Sequence[str],
 ) -> tuple[argparse.ArgumentParser, Mapping[str, argparse.ArgumentParser]]:
-    """Return the parser, and those of the commands by name."""
+    """Return the parser, and the parsers of the commands by name."""
     parser = argparse.ArgumentParser(
         prog='trajectory_calibration',
         description='Estimate the extrinsic transform between two sensors from their trajectories '
         'alone.')
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(title='commands', metavar='COMMAND', required=True)
-    # Importing the commands that were not given takes as long as a calibration; all of them are
-    # for help, completion and wrong usage.
+    # Importing all commands takes as long as a calibration: only for help, completion and wrong
+    # usage.
     for command in argv[:1] if argv and argv[0] in _COMMANDS else _COMMANDS:
         module = import_module(f'trajectory_calibration.cli.{command}')
         module.add_parser(subparsers)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several subcommands share: every setting of a calibration."""
+"""Command-line options for every setting of a calibration."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from trajectory_calibration.config.settings import CalibrationConfig, Option
 from trajectory_calibration.config.yaml_file import read_yaml
 from trajectory_calibration.errors import ConfigError
 
-# What begins like an option and is none: -90,0,-90; -,-,0.42; -1e-3; -inf. No option of ours does.
+# Values that start like an option: -90,0,-90; -,-,0.42; -1e-3; -inf. No option matches.
 _NEGATIVE = re.compile(r'-([\d.,\s].*|inf|nan)?', re.DOTALL | re.IGNORECASE)
 
 
 def join_negative_values(arguments: Sequence[str]) -> list[str]:
     """Return the arguments with '--name -90,0,-90' as '--name=-90,0,-90'.
 
-    argparse takes a value that begins with a minus and is no plain number for an option.
+    argparse reads a value that starts with a minus as an option unless it is a plain number.
     """
     joined: list[str] = []
     for k, argument in enumerate(arguments):
@@ -38,7 +38,7 @@ def join_negative_values(arguments: Sequence[str]) -> list[str]:
 def add_config_options(parser: argparse.ArgumentParser, without: tuple[str, ...] = ()) -> None:
     """Add ``--config FILE`` and one option for each field of CalibrationConfig.
 
-    ``without`` are the beginnings of the names that a command does not heed.
+    ``without`` are prefixes of the settings that a command does not use.
     """
     group = parser.add_argument_group('settings of the calibration')
     group.add_argument(
@@ -55,7 +55,7 @@ def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
     Raises
     ------
     ConfigError
-        A setting that is unknown or out of range, or a file that holds no settings.
+        A setting is unknown or out of range, or the file holds no settings.
 
     """
     values = {} if arguments.config is None else _read_settings(arguments.config)
@@ -63,13 +63,13 @@ def config_from_arguments(arguments: argparse.Namespace) -> CalibrationConfig:
 
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the settings that were given as options."""
+    """Return the settings that are given as options."""
     names = {option.name for option in CalibrationConfig.options()}
     return {name: value for name, value in vars(arguments).items() if name in names}
 
 
 def refuse_options(arguments: argparse.Namespace, names: Iterable[str], why: str) -> None:
-    """Raise ConfigError for the first of these options, by its attribute, that was given."""
+    """Raise ConfigError if one of these options, by attribute name, is given."""
     for name in names:
         if vars(arguments).get(name):
             raise ConfigError(f'--{name.replace("_", "-")} {why}')
@@ -84,7 +84,7 @@ def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     if option.kind is bool:
         settings = {'action': argparse.BooleanOptionalAction}
     elif option.extensible:
-        # Which names of other packages there are is looked up for an unknown one only.
+        # Names from other packages are looked up only when the option is checked.
         settings = {'metavar': 'NAME'}
         text += f': {", ".join(option.choices)}'
     elif option.choices:
@@ -92,7 +92,7 @@ def _add_option(group: argparse._ArgumentGroup, option: Option) -> None:
     else:
         settings = {'type': option.kind,
                     'metavar': {int: 'N', float: 'X'}.get(option.kind, 'TEXT')}
-    # An option that was not given leaves no attribute: --config may have set it.
+    # Without a default: a missing option must not override --config.
     group.add_argument(flag, default=argparse.SUPPRESS, help=text, **settings)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration replay``: a bag through the node's code, without the node."""
+"""``trajectory_calibration replay``: calibrate a bag with the code of the node."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, calibrate and print the answer."""
-    # Readers of bags and the YAML library load where they are used, and only there.
+    # Imported here, not at the start of every command.
     from trajectory_calibration.online.answer import describe
     from trajectory_calibration.online.feed import feed_track
     from trajectory_calibration.online.options import (
@@ -63,9 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
     session = CalibrationSession((topic_a, topic_b), to_limits(values))
     for topic, name, buffer in zip(
             (topic_a, topic_b), ('type_a', 'type_b'), session.buffers, strict=True):
-        wanted = find_type(values[name])
-        if wanted not in (None, tracks[topic].msgtype) and find_frames(topic) is None:
-            raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} says {wanted}; '
+        expected = find_type(values[name])
+        if expected not in (None, tracks[topic].msgtype) and find_frames(topic) is None:
+            raise TopicError(f'{topic} carries {tracks[topic].msgtype}, {name} is {expected}; '
                              'correct it or set auto')
         feed_track(tracks[topic], buffer)
     result = session.job(
@@ -75,10 +75,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[str, Any]:
-    """Return the parameters of files, overridden by assignments, unchecked."""
+    """Return the parameters of files, overridden by assignments; they are not checked here."""
     values: dict[str, Any] = {}
     for path in files:
-        values.update(_of_the_node(read_yaml(path, 'parameters', ConfigError), path))
+        values.update(_node_parameters(read_yaml(path, 'parameters', ConfigError), path))
     for assignment in assignments:
         name, separator, text = assignment.partition(':=')
         if not separator:
@@ -87,8 +87,8 @@ def _read_parameters(files: Sequence[Path], assignments: Sequence[str]) -> dict[
     return values
 
 
-def _of_the_node(document: Any, path: Path) -> dict[str, Any]:
-    """Return the parameters for any node, then those under the node's own name."""
+def _node_parameters(document: Any, path: Path) -> dict[str, Any]:
+    """Return the parameters of all nodes (``/**``), overridden by those of this node."""
     nodes = {str(key): node for key, node in document.items()} if (
         isinstance(document, dict)) else {}
     given = [node.get('ros__parameters') if isinstance(node, dict) else None
@@ -98,13 +98,13 @@ def _of_the_node(document: Any, path: Path) -> dict[str, Any]:
         raise ConfigError(
             f'{path} holds no parameters of {_NODE_NAME}; needed them under "/**:" and '
             '"ros__parameters:" as in config/calibration.yaml')
-    return {name: value for values in given for name, value in _flat(values)}
+    return {name: value for values in given for name, value in _flattened(values)}
 
 
-def _flat(values: Any, above: str = '') -> Iterator[tuple[str, Any]]:
-    """Yield names with dots, which ``ros2 param dump`` writes one below the other."""
+def _flattened(values: Any, prefix: str = '') -> Iterator[tuple[str, Any]]:
+    """Yield parameters with dotted names, which ``ros2 param dump`` writes as nested mappings."""
     for name, value in values.items():
         if isinstance(value, dict):
-            yield from _flat(value, f'{above}{name}.')
+            yield from _flattened(value, f'{prefix}{name}.')
         else:
-            yield f'{above}{name}', value
+            yield f'{prefix}{name}', value

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration report``: the HTML page and the plots of a saved result."""
+"""``trajectory_calibration report``: write the HTML report and the plots of a saved result."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``rig``: all sensors of a vehicle in one answer; ``verify``, ``compare``, ``report`` of such."""
+"""``rig``: calibrate all sensors of a vehicle; ``verify``, ``compare``, ``report`` for rigs."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ from trajectory_calibration.sources.inputs import InputOptions, load_inputs
 if TYPE_CHECKING:
     from trajectory_calibration.outputs.report import Record
 
-# What --output of compare is filled with for rigs.
+# The files that compare writes to --output for rigs.
 RIG_TABLES = ('table.csv', 'table.json')
 
 
@@ -116,12 +116,13 @@ def run(arguments: argparse.Namespace) -> int:
         config = _configured(description.config, arguments)
         sources, trajectories = _read(description, arguments)
         if arguments.output is not None:
-            # Exports need frames of their own: said before the calibration, not after it.
+            # Exports need unique frames: checked before the calibration, not after it.
             require_own_frames({name: config.of(name).frame or trajectory.sensor_frame
                                 for name, trajectory in trajectories.items()})
         with progress('calibrating'):
             rig = calibrate_rig(trajectories, config)
-    # No file that cannot be written takes the answer away, and no reader that has gone the files.
+    # The answer is printed even if a file cannot be written, and the files are written even if
+    # the pipe is closed.
     try:
         print_as(arguments.format, rig.to_dict(), format_rig(
             rig, truth=truth, verbose=arguments.verbose, terminal=Terminal.of()))
@@ -144,27 +145,27 @@ def _status_of(rig: RigResult) -> int:
 def write_rig_page(
     rig: RigResult, trajectories: Mapping[str, Trajectory], record: Record, path: Path,
 ) -> None:
-    """Write the page of a rig."""
+    """Write the HTML page of a rig."""
     from trajectory_calibration.outputs.rig_report import render_rig
     with progress('writing the report'):
         write_text(path, render_rig(rig, trajectories, record))
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that will be written, but for those whose names are of sensors."""
+    """Return the output files without those whose names depend on the sensors."""
     files = [] if arguments.output is None else [
         arguments.output / name for name in (RIG_FILE, *RIG_FILES.values())]
     return files if arguments.report is None else [*files, arguments.report]
 
 
 def _write(rig: RigResult, folder: Path, *, force: bool) -> None:
-    """Write the rig and its exports; say what is not exported, and what was removed."""
+    """Write the rig and its exports; print what is not exported, and what is removed."""
     placed = placements_by_folder(rig)
     names = rig_export_files(placed)
-    # Those that are kept back, too: nothing of this name is removed without --force.
+    # Also the names that are not exported now: old files are removed with --force only.
     require_new([folder / name for name in names], force=force)
     with suppress(ResultError, ConfigError):
-        # Sensors that have no answer any more had their exports named by the earlier rig.
+        # Also exports of sensors that had an answer in the earlier rig only.
         names += rig_export_files(placements_by_folder(RigResult.load(folder / RIG_FILE)))
     write_answer(
         folder / RIG_FILE, rig.to_dict(), rig_exports(rig, placed), dict.fromkeys(names),
@@ -184,7 +185,7 @@ def _read(
 
 
 def _configured(config: RigConfig, arguments: argparse.Namespace) -> RigConfig:
-    """Return the settings of the file, overridden by the options."""
+    """Return the settings overridden by the options."""
     given: dict[str, Any] = {
         name: value for name in ('base', 'pairs', 'leave_out_contradicting')
         if (value := getattr(arguments, name))}
@@ -199,7 +200,7 @@ def _from_results(arguments: argparse.Namespace) -> RigResult:
     config = (RigConfig() if arguments.rig is None
               else _by_frames(RigDescription.load(arguments.rig).config))
     folder: Path = arguments.from_results
-    # A saved rig, or the exports of a result, may stand beside the results.
+    # The folder may also hold a saved rig, or the exports of a result.
     others = {*EXPORT_FILES, *RIG_FILES.values(), RIG_FILE}
     paths = [path for path in folder.rglob('*.yaml')
              if path.name not in others and path != arguments.rig]
@@ -209,33 +210,33 @@ def _from_results(arguments: argparse.Namespace) -> RigResult:
 
 
 def _by_frames(config: RigConfig) -> RigConfig:
-    """Return the settings with the frames of the sensors as their names, as results have it."""
+    """Return the settings with the sensors named by their frames, as in saved results."""
     frames = {name: sensor.frame or name for name, sensor in config.sensors.items()}
     return replace(
         config, base=frames.get(config.base, config.base),
         sensors={frames[name]: sensor for name, sensor in config.sensors.items()})
 
 
-def _described(
+def _read_rig_inputs(
     arguments: argparse.Namespace,
 ) -> tuple[list[tuple[str, Path]], dict[str, Trajectory]]:
-    """Return what ``_read`` does of RIG.yaml, which stands in the place of A and B."""
+    """Return ``_read`` for the RIG.yaml that is given in place of A and B."""
     if arguments.b is not None:
         raise ConfigError(f'{arguments.result} is a rig: give one RIG.yaml in place of A and B')
-    names = (f'{item.name}{of}' for item in fields(InputOptions) for of in ('', '_a', '_b'))
+    names = (f'{item.name}{end}' for item in fields(InputOptions) for end in ('', '_a', '_b'))
     refuse_options(
         arguments, names, f'is for A and B; write how a sensor is read below it in {arguments.a}')
     return _read(RigDescription.load(Path(arguments.a)), arguments)
 
 
 def report_rig(arguments: argparse.Namespace) -> int:
-    """Write the page of a saved rig with the tracks of RIG.yaml."""
+    """Write the HTML page of a saved rig with the trajectories of RIG.yaml."""
     refuse_options(arguments, ('ground_truth', 'plots'),
                    f'is for one pair, and {arguments.result} is a rig; leave it out')
     rig = RigResult.load(arguments.result)
     page: Path = arguments.output or arguments.result.with_suffix('.html')
     require_new([page], force=arguments.force)
-    sources, trajectories = _described(arguments)
+    sources, trajectories = _read_rig_inputs(arguments)
     others = [name for name, trajectory in trajectories.items()
               if name in rig.sensors and recording_of(trajectory) not in rig.recordings]
     if rig.recordings and others:
@@ -254,7 +255,7 @@ def verify_rig(
     saved: RigResult, settings: CalibrationConfig, arguments: argparse.Namespace,
 ) -> int:
     """Calibrate the sensors of RIG.yaml without priors, and compare with a saved rig."""
-    _, trajectories = _described(arguments)
+    _, trajectories = _read_rig_inputs(arguments)
     config = replace(
         saved.config, base=saved.base, calibration=settings, sensors={
             name: SensorSettings(scale=saved.config.of(name).scale) for name in trajectories})
@@ -265,24 +266,25 @@ def verify_rig(
 
 
 def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:
-    """Compare saved rigs with the first of them."""
+    """Compare saved rigs with the first one."""
     if arguments.output is not None:
         require_new([arguments.output / name for name in RIG_TABLES], force=arguments.force)
     against, *names = short_names(list(map(str, paths)))
     first, *others = map(RigResult.load, paths)
-    found = [(name, compare_rigs(first, other))
-             for name, other in zip(names, others, strict=True)]
-    rows = [{'rig': name, 'against': against, **rig_to_data(one)} for name, one in found]
+    comparisons = [compare_rigs(first, other) for other in others]
+    named = list(zip(names, comparisons, strict=True))
+    rows = [{'rig': name, 'against': against, **rig_to_data(item)} for name, item in named]
     table = csv_text([{'rig': item['rig'], **row} for item in rows for row in item['sensors']])
     data = json.dumps(rows) + '\n'
-    text = '\n'.join(f'{name} against {against}: {rig_to_text(one)}' for name, one in found)
+    text = '\n'.join(f'{name} against {against}: {rig_to_text(item)}' for name, item in named)
     print_table({'text': text, 'csv': table, 'json': data}[arguments.format],
                 zip(RIG_TABLES, (table, data), strict=True), arguments)
-    return _status([one for _, one in found])
+    return _status(comparisons)
 
 
-def _status(found: Sequence[RigComparison]) -> int:
-    """Return 4 where a sensor moved, 3 where one could not be compared."""
-    if not all(item.holds for item in found):
+def _status(comparisons: Sequence[RigComparison]) -> int:
+    """Return 4 if a sensor moved, 3 if one could not be compared."""
+    if not all(item.holds for item in comparisons):
         return exit_status.CHANGED
-    return exit_status.DONE if all(item.whole for item in found) else exit_status.INCOMPLETE
+    return (exit_status.DONE if all(item.whole for item in comparisons)
+            else exit_status.INCOMPLETE)

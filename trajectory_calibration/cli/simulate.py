@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration simulate``: two trajectories with a known extrinsic, as files."""
+"""``trajectory_calibration simulate``: write two trajectories with a known extrinsic."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from trajectory_calibration.simulation.files import (
 FORMATS = ('tum', *STORAGES)
 TOPICS = ('/trajectory_a', '/trajectory_b')
 
-# Fields of a sensor of a scenario that are options.
-_OF_A_SENSOR = (
+# Fields of ``Sensor`` that are options.
+_SENSOR_OPTIONS = (
     ('rate', float, 'HZ', 'poses per second (default: of the scenario)'),
     ('clock-offset', float, 'S', 'its clock is ahead by this many seconds'),
     ('clock-drift', float, 'S/S', 'its clock gains this many seconds a second'),
@@ -63,7 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'file (default: drawn from the seed)')
     for name in 'ab':
         group = parser.add_argument_group(f'sensor {name}')
-        for option, kind, metavar, text in _OF_A_SENSOR:
+        for option, kind, metavar, text in _SENSOR_OPTIONS:
             group.add_argument(f'--{option}-{name}', type=kind, metavar=metavar, help=text)
         group.add_argument(f'--frame-{name}', dest=f'sensor_frame_{name}', metavar='FRAME',
                            help='name of its frame')
@@ -76,14 +76,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Simulate, write, and say what was written."""
+    """Simulate, write the files and print a summary."""
     require_new(_files(arguments), force=arguments.force)
     if arguments.scenario not in SCENARIOS:
         raise ConfigError(
             f'scenario {arguments.scenario!r} is unknown; needed one of {", ".join(SCENARIOS)}')
     if arguments.seed < 0:
         raise ConfigError(f'seed is {arguments.seed}, needed a whole number from 0 up')
-    scenario = _changed(SCENARIOS[arguments.scenario], arguments)
+    scenario = _with_options(SCENARIOS[arguments.scenario], arguments)
     mounting = None
     if arguments.mounting is not None:
         from trajectory_calibration.outputs.extrinsic_file import transform_of
@@ -99,17 +99,17 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _files(arguments: argparse.Namespace) -> list[Path]:
-    """Return the files that ``--force`` overwrites."""
+    """Return the output files that ``--force`` overwrites."""
     names = ['truth.tum', 'a.tum', 'b.tum']
     if arguments.format != 'tum':
-        # A bag is never overwritten: writing it says so, before the truth is written.
+        # A bag is never overwritten: ``write_bag`` raises before the truth is written.
         names = [] if (arguments.output / 'bag').exists() else names[:1]
     return [arguments.output / name for name in names]
 
 
-def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
-    """Return the scenario with what the options set."""
-    # All at once: how many poses a sensor gives depends on the duration and on its rate.
+def _with_options(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
+    """Return the scenario with the options applied."""
+    # In one step: the limits of the number of poses depend on the duration and the rate.
     changes: dict[str, Any] = {}
     if arguments.duration is not None:
         changes['duration'] = arguments.duration
@@ -117,13 +117,13 @@ def _changed(scenario: Scenario, arguments: argparse.Namespace) -> Scenario:
         sensor = getattr(scenario, name)
         given = {item.name: value for item in fields(sensor)
                  if (value := getattr(arguments, f'{item.name}_{name}', None)) is not None}
-        noise = _changed_noise(sensor.noise, name, arguments.noise)
+        noise = _with_settings(sensor.noise, name, arguments.noise)
         changes[name] = replace(sensor, noise=noise, **given)
     return replace(scenario, **changes)
 
 
-def _changed_noise(noise: Noise, sensor: str, settings: list[str]) -> Noise:
-    """Apply those of the settings ``[a.|b.]NAME=VALUE`` that concern the sensor."""
+def _with_settings(noise: Noise, sensor: str, settings: list[str]) -> Noise:
+    """Return the noise with the settings ``[a.|b.]NAME=VALUE`` of the sensor applied."""
     names = [item.name for item in fields(noise)]
     values: dict[str, Any] = {}
     for setting in settings:

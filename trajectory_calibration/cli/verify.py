@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``trajectory_calibration verify``: does a saved result hold on other data."""
+"""``trajectory_calibration verify``: test whether a saved result holds on other data."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trajectory_calibration.rig.result import is_rig, RigResult
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
-        'verify', help='tell whether a saved result holds on other data',
+        'verify', help='test whether a saved result holds on other data',
         usage='%(prog)s [options] RESULT A B\n       %(prog)s [options] RIG_RESULT RIG.yaml',
         description='Calibrate A and B without priors, and compare with a saved result. Exit '
         'status: 0 holds; 3 cannot tell, or not all directions were tested; 4 moved; 1 the data '
@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(found.describe())
     if resolution := found.describe_resolution():
         print(f'smallest shift that would have been noticed: {resolution}')
-    # What a direction needs is in the verdict, and a prior would be no way out here.
+    # Not those of directions: the verdict names them, and their advice of a prior is no use here.
     findings = () if found.result is None else found.result.findings
     for line in (*(f'note: {note}' for note in found.notes), *(
             f'{item.level}: {item.text}' for item in findings
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _config(saved: CalibrationConfig, arguments: argparse.Namespace) -> CalibrationConfig:
-    """Return the settings of the saved result, changed by what was given."""
+    """Return the settings of the saved result, overridden by the options, or those of --config."""
     if arguments.config is not None:
         return config_from_arguments(arguments)
     try:

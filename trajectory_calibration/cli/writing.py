@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What several subcommands print and write: answers, pages, plots, and what was known before."""
+"""Output that several subcommands share: results, reports, plots; and the ground truth."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def add_truth_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | None:
-    """Return the known pose of b in a, or None where no file was given."""
+    """Return the known (4, 4) pose of b in a, or None without a file."""
     if name is None:
         return None
     found = read_extrinsic(name, frame_a, frame_b)
     if 'inverted' in found.how:
-        # The only formats of which a person may have expected the other direction.
+        # Of these formats a user may expect the other direction.
         print(f'ground truth: {found.how}', file=sys.stderr)
     return found.T_a_b
 
 
 def print_as(form: str, data: dict[str, Any], text: str) -> None:
-    """Print data as JSON or YAML, or else a text that ends its line itself; flush it."""
+    """Print data as JSON or YAML, or else ``text``, which ends with a line break; flush it."""
     if form == 'json':
         text = json.dumps(data) + '\n'
     elif form == 'yaml':
@@ -53,34 +53,34 @@ def print_as(form: str, data: dict[str, Any], text: str) -> None:
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
-    """Raise where one of the files cannot be written, before there is an answer to lose.
+    """Check before the calibration that the files can be written.
 
-    ConfigError for files that exist, unless they may be overwritten; ResultError for a folder that
+    Raises ConfigError for files that exist, unless ``force``; ResultError for a folder that
     cannot be made or written to.
     """
     paths = list(paths)
-    taken = [path for path in paths if path.is_file()]
-    if taken and not force:
-        exist = f'and {len(taken) - 1} more exist' if len(taken) > 1 else 'exists'
-        raise ConfigError(f'{taken[0]} {exist}; give --force to overwrite, or another name')
+    existing = [path for path in paths if path.is_file()]
+    if existing and not force:
+        exist = f'and {len(existing) - 1} more exist' if len(existing) > 1 else 'exists'
+        raise ConfigError(f'{existing[0]} {exist}; give --force to overwrite, or another name')
     for path in paths:
         if path.is_dir():
             raise ResultError(f'{path} cannot be written: it is a folder; give another name')
-        # Of a link, the file that it names is replaced.
+        # The target of a link is replaced, not the link.
         folder = (path.resolve() if path.is_file() else path).parent
         while not folder.exists() and folder != folder.parent:
             folder = folder.parent
         if not folder.is_dir():
             raise ResultError(f'{path.parent} cannot be made: {folder} is a file; give another '
                               'name')
-        # A device or a pipe is written to as it is; a file is made anew, also in place of another.
+        # Replacing a file needs a writable folder; a device or a pipe is not replaced.
         if (path.is_file() or not path.exists()) and not os.access(folder, os.W_OK | os.X_OK):
             raise ResultError(f'{folder.resolve()} cannot be written to; give another name, or '
                               'correct its permissions')
 
 
 def plot_paths(folder: Path | None) -> list[Path]:
-    """Return the files of ``--plots``; MissingPackageError where there is nothing to draw with."""
+    """Return the files of ``--plots``; raises MissingPackageError without Matplotlib."""
     if folder is None:
         return []
     from trajectory_calibration.outputs.plots import plot_files
@@ -90,8 +90,8 @@ def plot_paths(folder: Path | None) -> list[Path]:
 def print_table(
     text: str, files: Iterable[tuple[str, str]], arguments: argparse.Namespace,
 ) -> None:
-    """Print a comparison, and write the files, by name, into the folder of ``--output``."""
-    # A reader that has gone takes no files away.
+    """Print a comparison, and write ``files`` (name, content) to the folder ``--output``."""
+    # The files are written even if the pipe is closed.
     try:
         print(text, end='', flush=True)
     finally:
@@ -106,9 +106,10 @@ def write_answer(
     path: Path, data: dict[str, Any], exports: Mapping[str, str | bytes], names: Iterable[str],
     hidden: str,
 ) -> None:
-    """Write an answer as YAML, and its exports beside it; say what was ``hidden`` or removed.
+    """Write an answer as YAML, and its exports in the same folder.
 
-    An earlier answer may have left exports of these ``names``: what is not written again goes.
+    Exports of an earlier answer with one of the ``names`` are removed unless they are written
+    again. Prints what was removed, and ``hidden``, the directions that are not exported.
     """
     from trajectory_calibration.outputs.exports import remove_others
     folder = path.parent
@@ -132,7 +133,7 @@ def write_pages(
     result: CalibrationResult, a: Trajectory, b: Trajectory, truth: FloatArray | None,
     arguments: argparse.Namespace, page: Path | None,
 ) -> list[Path]:
-    """Write the page and the plots that were asked for; return the files."""
+    """Write the HTML page and the plots if requested; return their paths."""
     if page is None and arguments.plots is None:
         return []
     from trajectory_calibration.outputs.report.data import report_data
@@ -155,9 +156,9 @@ def write_failure(
     error: Exception, trajectories: tuple[Trajectory, ...], config: CalibrationConfig,
     arguments: argparse.Namespace,
 ) -> None:
-    """Write the page of a calibration without an answer, and say so.
+    """Write the HTML page of a failed calibration.
 
-    Where that fails, too, the reason stands beside the error, not in its place.
+    If this fails, too, the reason is printed, and the error of the calibration remains.
     """
     from trajectory_calibration.outputs.report import render_failure
     try:
