@@ -454,11 +454,12 @@ def test_kitti_cameras_at_coinciding_stamps(shared_data):
     file = absolute_errors(solution.T_a_b, T_a_b)
     corrected = absolute_errors(solution.T_a_b, se3.from_rotation_translation(
         np.eye(3), np.array([-0.0599, 0.0011, -0.0038])))
-    # Most of it is the height, y of a, which this drive tells to 5 cm.
-    assert file.e_at <= 0.080
-    assert corrected.e_at <= 0.090
+    # Most of it is the height, y of a, which this drive determines to 5 cm. The file holds the
+    # extrinsic of the images before their rectification.
+    assert file.e_at <= 0.090
+    assert corrected.e_at <= 0.075
     assert abs(solution.T_a_b[1, 3] - 0.0011) < 1.5 * np.sqrt(solution.covariance[1, 1])
-    assert np.rad2deg(corrected.e_aR) <= 0.10
+    assert np.rad2deg(corrected.e_aR) <= 0.06
     assert abs(solution.scale - (1 - 0.021)) < 0.003
 
 

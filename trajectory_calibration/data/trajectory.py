@@ -195,8 +195,8 @@ class Trajectory:
 
     @property
     def longest_step_ns(self) -> float:
-        """Return the length, nanoseconds, beyond which a step is a gap: five steps, and 0.5 s."""
-        return max(5 * self.usual_step_ns, 500_000_000)
+        """Return the length, nanoseconds, beyond which a step is a gap."""
+        return longest_step_ns(self.stamps_ns)
 
     @cached_property
     def gaps(self) -> NDArray[np.bool_]:
@@ -223,6 +223,14 @@ class Trajectory:
     def duration_s(self) -> float:
         """Seconds from the first pose to the last."""
         return (int(self.stamps_ns[-1]) - int(self.stamps_ns[0])) * 1e-9
+
+
+def longest_step_ns(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the length, nanoseconds, beyond which a step is a gap: five median steps and 0.5 s.
+
+    The motion in a gap is unknown, and a SLAM may have lost its track there.
+    """
+    return max(5 * float(np.median(np.diff(stamps_ns))), 500_000_000)
 
 
 def recording_of(*trajectories: Trajectory) -> str:

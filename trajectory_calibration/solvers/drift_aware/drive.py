@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trajectory_calibration.data.pose_pairs import PosePairs
+from trajectory_calibration.data.trajectory import longest_step_ns
 from trajectory_calibration.geometry.se3 import FloatArray, from_rotation_translation, skew
 from trajectory_calibration.solvers.drift_aware.algebra import (
     apply,
@@ -108,9 +109,7 @@ class Drive:
         R_a, R_b = pairs.poses_a[:, :3, :3], pairs.poses_b[:, :3, :3]
         p_a = pairs.poses_a[:, :3, 3] - pairs.poses_a[0, :3, 3]
         p_b = pairs.poses_b[:, :3, 3] - pairs.poses_b[0, :3, 3]
-        # The motion in a gap is unknown. Shorter stops, as between keyframes, are steps.
-        steps = np.diff(times)
-        gap = steps > 1.0 + 5 * np.median(steps)
+        gap = np.diff(pairs.stamps_ns) > longest_step_ns(pairs.stamps_ns)
         before = np.maximum(np.arange(len(times)) - 1, 0)
         after = np.minimum(np.arange(len(times)) + 1, len(times) - 1)
         known = ~(np.r_[False, gap] | np.r_[gap, False])
