@@ -354,10 +354,10 @@ def show_terms(rows):
             f'{1e6 * result.clock_drift:+.0f}',
             '' if late is None else f'{1e3 * np.max(np.abs(late)):.1f}',
             ', '.join(false)]) + ' |', flush=True)
-    print(f'\nFalse terms in {false_pairs} of {sum("result" in row for row in rows)} answers: '
-          'drift beyond 1 %, scale more than 3 deviations and 1 % from both one and the spread of '
-          'positions where both are metric, clock offset beyond 3 deviations or any clock drift '
-          'where both share a clock.')
+    print(f'\nFalse terms in {false_pairs} of {sum("result" in row for row in rows)} answers. '
+          'A term is false if the drift exceeds 1 %; if both are metric and the scale differs by '
+          '3 standard deviations and 1 % from both one and the spread of positions; if both share '
+          'a clock and there is an offset beyond 3 standard deviations or any clock drift.')
 
 
 def _false_terms(pair, result, said):
