@@ -1,9 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The six numbers of a pose with their deviations, marks and verdict: one table for all.
+"""The six numbers of a pose with their standard deviations, status and verdict.
 
-Screens, reports, tables and the notebook, of a pair, a rig or many recordings, show these rows, so
-that they cannot differ.
+All outputs for a pair, a rig or many recordings show these rows, so that they cannot differ.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.result import CalibrationResult
 
-# What a person reads beside a number, worst first.
+# The word for each status that is shown beside a number, worst first.
 WORDS = {UNOBSERVED: 'unknown', WEAK: 'weak', PRIOR: 'prior', OBSERVED: 'ok'}
 _WORST_FIRST = tuple(WORDS)
 
-# From metres and radians, in the order of a covariance.
+# Factors from metres and radians, in the order of a covariance, to metres and degrees.
 TO_DEGREES = np.repeat([1.0, 180 / np.pi], 3)
 
 NAMES = ('x', 'y', 'z', 'roll', 'pitch', 'yaw')
@@ -42,21 +41,21 @@ TITLES = {
 # Level of findings that may make an answer wrong.
 SERIOUS = 'serious'
 
-# A pitch this near to 90 degrees (cosine): roll and yaw turn about the same axis.
+# Cosine of a pitch near 90 degrees, where roll and yaw are rotations about the same axis.
 _GIMBAL_LOCK = 1e-3
 
-# An axis that brings at least this share of the variance of an angle gives it its mark.
+# An angle takes the status of each axis that contributes at least this share of its variance.
 _MAIN_SHARE = 0.3
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number of the answer, 'x' ... 'yaw', as ``value`` in metres or degrees.
+    """One number of the answer, 'x' ... 'yaw', with ``value`` in metres or degrees.
 
-    Roll, pitch, yaw turn about the fixed x, then y, then z axis of a, as in URDF. ``std``, its
-    standard deviation, is None without a covariance or where it is unobserved, ``error``, the
-    value minus the truth, where that is not known or it is unobserved. ``status`` is 'observed',
-    'weak', 'unobserved' or 'prior', by the two limits of the settings.
+    Roll, pitch, yaw are rotations about the fixed x, then y, then z axis of a, as in URDF.
+    ``std`` is None without a covariance, ``error`` (value minus truth) without a ground truth;
+    both are None if the number is unobservable. ``status`` is 'observed', 'weak', 'unobserved'
+    or 'prior', by the two limits of the settings.
     """
 
     name: str
@@ -75,33 +74,33 @@ class Row:
 
     @property
     def is_known(self) -> bool:
-        """Tell whether the number may be shown."""
+        """Return whether the number is observable, so that it may be shown."""
         return self.status != UNOBSERVED
 
     @property
     def value_text(self) -> str:
-        """Return the number with as many digits as its deviation leaves, or 'unknown'."""
+        """Return the number with the digits of its standard deviation, or 'unknown'."""
         return fixed(self.value, self._digits) if self.is_known else self.word
 
     @property
     def std_text(self) -> str:
-        """Return two digits of the deviation; '' where there is none."""
+        """Return the standard deviation with two digits, or ''."""
         return '' if self.std is None else f'{self.std:.{self._digits}f}'
 
     @property
     def error_text(self) -> str:
-        """Return the error with its sign; '' where there is none."""
+        """Return the error with its sign, or ''."""
         return '' if self.error is None else (
             f'{round(self.error, self._digits) + 0.0:+.{self._digits}f}')
 
     @property
     def sigma(self) -> float | None:
-        """Return the size of the error in standard deviations, None where that says nothing."""
+        """Return the absolute error in standard deviations, or None."""
         return abs(self.error) / self.std if self.error is not None and self.std else None
 
     @property
     def _digits(self) -> int:
-        """Return the decimals for two digits of the deviation; 3 to 6 of metres, 2 to 5 of deg."""
+        """Return the decimals for two digits of the std: 3 to 6 for metres, 2 to 5 for degrees."""
         least = 3 if self.unit == 'm' else 2
         if self.std is None or not self.std > 0:
             return least + 1
@@ -115,7 +114,7 @@ class Row:
 def answer_rows(
     result: CalibrationResult, T_a_b_true: FloatArray | None = None,
 ) -> tuple[Row, ...]:
-    """Return the six rows of a result; ``T_a_b_true`` (4, 4) fills their errors."""
+    """Return the six rows of a result, with errors against ``T_a_b_true`` (4, 4)."""
     return pose_rows(result.T_a_b, result.covariance, result.observability.status,
                      result.config, T_a_b_true)
 
@@ -124,23 +123,22 @@ def pose_rows(
     T: FloatArray, covariance: FloatArray | None, status: Mapping[str, str],
     config: CalibrationConfig, T_true: FloatArray | None = None,
 ) -> tuple[Row, ...]:
-    """Return the six rows of a (4, 4) pose; ``T_true`` (4, 4) fills their errors.
+    """Return the six rows of a (4, 4) pose, with errors against ``T_true`` (4, 4).
 
-    Of the (6, 6) covariance, order and side as in ``CalibrationResult``, ``status`` names each
-    degree of freedom; ``config`` has the limits of weak and unobserved.
+    ``covariance`` is (6, 6), order and side as in ``CalibrationResult``; ``status`` is by degree
+    of freedom; ``config`` has the limits of weak and unobserved.
     """
     values = np.concatenate([T[:3, 3], np.rad2deg(se3.roll_pitch_yaw(T[:3, :3]))])
-    # Of the rows, to first order, by the steps of a covariance.
-    to_rows = np.eye(6)
-    to_rows[3:, 3:] = angle_jacobian(T[:3, :3])
+    # Of x, y, z, roll, pitch, yaw by the step of a covariance.
+    J = np.eye(6)
+    J[3:, 3:] = angle_jacobian(T[:3, :3])
     std = errors = np.full(6, np.nan)
     if covariance is not None:
-        std = TO_DEGREES * np.sqrt(np.maximum(
-            np.einsum('ij,jk,ik->i', to_rows, covariance, to_rows), 0.0))
+        std = TO_DEGREES * np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', J, covariance, J), 0.0))
     if T_true is not None:
-        errors = TO_DEGREES * (to_rows @ se3.step_between(T_true, T))
+        errors = TO_DEGREES * (J @ se3.step_between(T_true, T))
     statuses = [status[name] for name in DEGREES_OF_FREEDOM[:3]]
-    statuses += _angle_statuses(covariance, status, to_rows[3:, 3:])
+    statuses += _angle_statuses(covariance, status, J[3:, 3:])
     shown = (
         [None if np.isnan(number) or status == UNOBSERVED else float(number)
          for number, status in zip(numbers, statuses, strict=True)] for numbers in (std, errors))
@@ -148,37 +146,37 @@ def pose_rows(
         (config.weak_translation, config.unobserved_translation),
         (config.weak_rotation, config.unobserved_rotation))
     return tuple(
-        Row(name, value + 0.0, deviation, unit_of(k), statuses[k], *limits[k >= 3], error)
-        for k, (name, value, deviation, error) in enumerate(zip(
+        Row(name, value + 0.0, sigma, unit_of(k), statuses[k], *limits[k >= 3], error)
+        for k, (name, value, sigma, error) in enumerate(zip(
             NAMES, values.tolist(), *shown, strict=True)))
 
 
 def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
-    """Return how far a (4, 4) pose is from the truth, without what is unobserved of it."""
+    """Return the error of a (4, 4) pose as text, without its unobservable directions."""
     unobserved = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
     t, R = sizes(np.where(unobserved, 0.0, se3.step_between(T_true, T)))
-    words = ', '.join('unknown' if unobserved[part].all() else text for part, text in (
+    error = ', '.join('unknown' if unobserved[part].all() else text for part, text in (
         (slice(0, 3), f'{t:.4f} m'), (slice(3, 6), f'{R:.3f} deg')))
-    left_out = ', '.join(np.array(DEGREES_OF_FREEDOM)[unobserved])
-    return f'{words} (without {left_out})' if left_out else words
+    excluded = ', '.join(np.array(DEGREES_OF_FREEDOM)[unobserved])
+    return f'{error} (without {excluded})' if excluded else error
 
 
 def sizes(step: FloatArray) -> tuple[float, float]:
-    """Return the lengths, metres and degrees, of a (6,) step; NaN counts as none."""
+    """Return the norms (m, deg) of a (6,) step in metres and radians; NaN counts as 0."""
     t, R = np.sqrt(np.nansum(np.reshape(TO_DEGREES * step, (2, 3)) ** 2, axis=1))
     return float(t), float(R)
 
 
 def status_sentence(rows: tuple[Row, ...]) -> str:
-    """Return which numbers are good and which are not: 'rotation ok; x, y weak; z unknown'."""
-    found = []
+    """Return the numbers by status: 'rotation ok; x, y weak; z unknown'."""
+    parts = []
     for word in ('ok', 'prior', 'weak', 'unknown'):
         names = ', '.join(row.name for row in rows if row.word == word)
         for group, name in ((NAMES, 'all six numbers' if word == 'ok' else 'all six'),
                             (NAMES[:3], 'translation'), (NAMES[3:], 'rotation')):
             names = names.replace(', '.join(group), name)
-        found += [f'{names} {word}'] if names else []
-    return '; '.join(found)
+        parts += [f'{names} {word}'] if names else []
+    return '; '.join(parts)
 
 
 def unit_of(k: int) -> str:
@@ -187,10 +185,10 @@ def unit_of(k: int) -> str:
 
 
 class Verdict(NamedTuple):
-    """The judgement of a result.
+    """The verdict on a result.
 
-    ``level`` is 'good', 'care', 'incomplete' (a direction is unobserved) or 'failed';
-    ``sentence`` says what is good and what is not, ``next_step`` what to do now.
+    ``level`` is 'good', 'care', 'incomplete' (a direction is unobservable) or 'failed';
+    ``sentence`` is the status of the numbers, ``next_step`` what to do now.
     """
 
     level: str
@@ -203,7 +201,7 @@ def verdict_of(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -
     rows = rows or answer_rows(result)
     worst = min((row.status for row in rows), key=_WORST_FIRST.index)
     sentence = status_sentence(rows)
-    # Those of directions have a mark of their own.
+    # Findings of directions are in the status of the numbers.
     serious = [found.text for found in result.findings
                if found.level == SERIOUS and not found.code.startswith('direction-')]
     if serious and worst != UNOBSERVED:
@@ -219,30 +217,34 @@ def verdict_of(result: CalibrationResult, rows: tuple[Row, ...] | None = None) -
 
 
 def fixed(value: float, digits: int) -> str:
-    """Return a number with so many decimals, and no minus before a zero."""
+    """Return a number with ``digits`` decimals, without a minus before zero."""
     return f'{round(float(value), digits) + 0.0:.{digits}f}'
 
 
 def angle_jacobian(R: FloatArray) -> FloatArray:
-    """Return (3, 3), the change of roll, pitch, yaw by a turn about the fixed x, y, z of a."""
+    """Return the (3, 3) Jacobian of roll, pitch, yaw by a rotation vector in the axes of a."""
     pitch_axis = np.array([-R[1, 0], R[0, 0], 0.0])
     cosine = float(np.hypot(R[0, 0], R[1, 0]))
     if cosine < _GIMBAL_LOCK:
-        # Roll alone takes what roll and yaw have in common, as roll_pitch_yaw has it.
+        # The common rotation of roll and yaw is assigned to roll, as in roll_pitch_yaw.
         return np.array([R[:, 0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     columns = np.column_stack([R[:, 0], pitch_axis / cosine, [0.0, 0.0, 1.0]])
     return np.linalg.inv(columns)
 
 
 def _angle_statuses(
-    covariance: FloatArray | None, status: Mapping[str, str], to_angles: FloatArray,
+    covariance: FloatArray | None, status: Mapping[str, str], jacobian: FloatArray,
 ) -> list[str]:
-    """Return the status of roll, pitch, yaw: the worst of the axes that they come from."""
+    """Return the status of roll, pitch, yaw: the worst of the axes that affect each.
+
+    ``jacobian`` is that of ``angle_jacobian``.
+    """
     by_axis = np.array([status[name] for name in DEGREES_OF_FREEDOM[3:]])
     variance = 1.0 if covariance is None else np.maximum(np.diagonal(covariance)[3:], 1e-30)
-    share = to_angles**2 * variance
+    share = jacobian**2 * variance
     share /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
-    counts = share > _MAIN_SHARE
-    # Every axis counts somewhere: an unobserved one must be seen.
-    counts[np.abs(to_angles).argmax(axis=0), np.arange(3)] = True
-    return [min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED) for row in counts]
+    affects = share > _MAIN_SHARE
+    # Every axis affects at least one angle, so that an unobservable axis is always shown.
+    affects[np.abs(jacobian).argmax(axis=0), np.arange(3)] = True
+    return [
+        min(by_axis[row].tolist(), key=_WORST_FIRST.index, default=OBSERVED) for row in affects]

@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A result in the formats of other tools, each as text that can be pasted.
+"""Write a result in the formats of other tools.
 
-``EXPORTS`` is the registry: the command line, ``--output`` and the report take their choices
-from it. Every format holds the pose of the child in the parent, but for Kalibr's, and its
-sentence says so. Numbers are written with all their digits.
+``EXPORTS`` is the registry for the command line, ``--output`` and the report. Every format holds
+the pose of the child in the parent; only Kalibr's holds the inverse, which its sentence says.
+Numbers are written with all digits.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 class Exporter:
     """One format.
 
-    ``sentence`` says what it holds and which way it points; ``contents`` is the function of a
-    ``Placement`` that returns what is written to ``file_name``. What is binary cannot be printed.
+    ``sentence`` describes its content and direction; ``contents`` returns the content of
+    ``file_name`` for a ``Placement``. A binary format cannot be printed.
     """
 
     sentence: str
@@ -48,7 +48,7 @@ class Exporter:
     is_binary: bool = False
 
     def write(self, item: CalibrationResult | Placement) -> str:
-        """Return the text; raises ConfigError for a binary format, and as ``encode``."""
+        """Return the text; raises ConfigError for a binary format, else like ``encode``."""
         if self.is_binary:
             raise ConfigError(f'{self.file_name} is binary; give a file with --output')
         return self.encode(item).decode()
@@ -56,7 +56,8 @@ class Exporter:
     def encode(self, item: CalibrationResult | Placement) -> bytes:
         """Return the contents of a file.
 
-        Raises ConfigError for two frames of one name, or a name that the format cannot hold.
+        Raises ConfigError for two frames with the same name, or a name that is invalid in the
+        format.
         """
         item = item if isinstance(item, Placement) else Placement.of(item)
         contents = self.contents(item.require_two_frames())
@@ -64,7 +65,7 @@ class Exporter:
 
 
 def _texts(item: Placement) -> tuple[list[str], list[str], list[str]]:
-    """Return x, y, z; qx, qy, qz, qw; roll, pitch, yaw."""
+    """Return x, y, z; qx, qy, qz, qw; roll, pitch, yaw, metres and radians."""
     t, R = item.T_parent_child[:3, 3], item.T_parent_child[:3, :3]
     return (list(map(number, t)), list(map(number, se3.rotation_to_quaternion(R))),
             list(map(number, se3.roll_pitch_yaw(R))))
@@ -75,7 +76,7 @@ def _pose(item: Placement) -> str:
 
 
 def _comments(item: Placement, *more: str, xml: bool = False) -> str:
-    """Return what a reader must know, worst first: the pose, or ``more`` in its place."""
+    """Return comments, worst first: the pose, or ``more`` in its place, and the uncertainty."""
     lines = [*(more or [_pose(item)])]
     if item.unobserved:
         lines.insert(0, f'UNOBSERVED: {", ".join(item.unobserved)}. These numbers are arbitrary '
@@ -84,7 +85,7 @@ def _comments(item: Placement, *more: str, xml: bool = False) -> str:
         words = deviation_words(item.covariance)
         lines.append(f'standard deviations along and about x, y, z of {item.parent}: '
                      f'{", ".join(words[:3])} m, {", ".join(words[3:])} deg')
-    # A line break in the name of a frame must not end the comment, nor must two hyphens.
+    # A line break or two hyphens in a frame name must not end the comment.
     lines = [' '.join(line.split()) for line in (*lines, item.origin) if line]
     return ''.join(f'<!-- {re.sub("-(?=-|$)", "- ", line)} -->\n' if xml else f'# {line}\n'
                    for line in lines)
@@ -112,7 +113,7 @@ def _urdf(item: Placement) -> str:
 def _xacro(item: Placement) -> str:
     macro = re.sub(r'\W', '_', f'{item.parent}_to_{item.child}')
     for name in (item.parent, item.child):
-        # Space, quotes and $ have a meaning in the defaults of a macro.
+        # Spaces, quotes and $ are special in the defaults of a macro.
         if re.fullmatch(r'[\w./-]+', name) is None:
             raise ConfigError(
                 f'xacro cannot hold the frame name {name!r}, needed letters, digits and _ . / -; '
@@ -253,28 +254,28 @@ EXPORTS: dict[str, Exporter] = {
 }
 
 
-# The files of all formats, in a folder.
+# The file names of all formats.
 EXPORT_FILES = tuple(exporter.file_name for exporter in EXPORTS.values())
 
 
 def encode_exports(item: Placement) -> dict[str, bytes]:
-    """Return the contents of ``EXPORT_FILES``, without formats that cannot hold a frame's name.
+    """Return the contents of ``EXPORT_FILES``, without formats where a frame name is invalid.
 
-    Raises ConfigError where both frames have one name.
+    Raises ConfigError if both frames have the same name.
     """
     item.require_two_frames()
     contents = {}
     for exporter in EXPORTS.values():
-        # The other formats may well hold a name that this one cannot.
         with suppress(ConfigError):
             contents[exporter.file_name] = exporter.encode(item)
     return contents
 
 
 def write_exports(item: Placement, folder: Path) -> list[Path]:
-    """Write every format into a folder, which is made, over what is there; return the files.
+    """Write every format into a folder, which is made if needed; return the paths.
 
-    Raises ConfigError where both frames have one name, ResultError where nothing can be written.
+    Existing files are overwritten. Raises ConfigError if both frames have the same name,
+    ResultError if a file cannot be written.
     """
     contents = encode_exports(item)
     remove_others(folder, EXPORT_FILES, contents)
@@ -284,9 +285,9 @@ def write_exports(item: Placement, folder: Path) -> list[Path]:
 
 
 def remove_others(folder: Path, names: Iterable[str], contents: Container[str]) -> list[Path]:
-    """Remove the files of these names that are not written again; return those that were there.
+    """Remove the files in ``names`` that are not in ``contents``; return the removed paths.
 
-    Beside a new result, exports of an earlier one would pass for its own. Raises ResultError.
+    Otherwise exports of an earlier result would seem to belong to the new one. Raises ResultError.
     """
     removed = [path for name in names if name not in contents
                and (path := folder / name).is_file()]
@@ -296,8 +297,8 @@ def remove_others(folder: Path, names: Iterable[str], contents: Container[str]) 
     except OSError as error:
         raise ResultError(f'{path} is of an earlier answer and cannot be removed: '
                           f'{error.strerror or error}') from error
-    for below in {path.parent for path in removed} - {folder}:
-        # What a person put there stays.
+    for subfolder in {path.parent for path in removed} - {folder}:
+        # Not if it holds files of the user.
         with suppress(OSError):
-            below.rmdir()
+            subfolder.rmdir()
     return removed

@@ -20,7 +20,7 @@ from trajectory_calibration.rig.result import RigResult, SensorAnswer
 _MARKS = {'weak': 'w', 'prior': 'p', 'unknown': '', 'ok': ''}
 
 # Findings that are shown without -v.
-_MOST_FINDINGS = 5
+_MAX_FINDINGS = 5
 
 
 def format_rig(
@@ -51,7 +51,7 @@ def format_rig(
             for name in rig.free if name in truth)]
     if rig.degrees:
         lines += ['', loops_text(rig)]
-    lines += finding_lines(rig.findings, terminal, None if verbose else _MOST_FINDINGS)
+    lines += finding_lines(rig.findings, terminal, None if verbose else _MAX_FINDINGS)
     if verbose:
         lines += ['', '  pairs: chi-squared and degrees of freedom against the rig']
         for pair in rig.pairs:

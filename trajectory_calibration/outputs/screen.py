@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A result, and an inspection, as a person reads them on a terminal."""
+"""Format a result and an inspection for a terminal."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNOBSERVED_STD
 
 # Findings that are shown without -v.
-_MOST_FINDINGS = 3
+_MAX_FINDINGS = 3
 
 
 def format_result(
     result: CalibrationResult, T_a_b_true: FloatArray | None = None, *, verbose: bool = False,
     terminal: Terminal | None = None,
 ) -> str:
-    """Return the screen of a result: the answer, then what a person should know of it.
+    """Return the text for a result: the answer, then the findings.
 
-    ``T_a_b_true``, (4, 4), adds the error of each number; ``verbose`` all findings, and how the
-    answer was made.
+    ``T_a_b_true``, (4, 4), adds the error of each number; ``verbose`` all findings and details.
     """
     terminal = terminal or Terminal()
     rows = answer_rows(result, T_a_b_true)
@@ -44,22 +43,22 @@ def format_result(
     legend = (f'+-: 1 standard deviation. ok: at most {config.weak_translation:g} m, '
               f'{config.weak_rotation:g} deg; weak: more; unknown: not determined{prior}.')
     lines += [terminal.paint(line, 'soft') for line in terminal.wrapped(legend, '  ', '  ')]
-    # The marks show what is weak; other warnings are news.
+    # Weak directions come last: the table shows them already.
     lines += finding_lines(
         sorted(result.findings, key=lambda found: found.code == 'direction-weak'), terminal,
-        None if verbose else _MOST_FINDINGS)
+        None if verbose else _MAX_FINDINGS)
     if verbose:
         lines += ['', *terminal.aligned(details(result))]
     return '\n'.join(lines) + '\n'
 
 
 def format_transform(result: CalibrationResult) -> str:
-    """Return 'x y z qx qy qz qw' in one line; of what is unobserved 'unknown'."""
+    """Return 'x y z qx qy qz qw' in one line, with 'unknown' for unobservable numbers."""
     return ' '.join(transform_words(result, 9, 9)) + '\n'
 
 
 def transform_words(result: CalibrationResult, digits: int, quaternion_digits: int) -> list[str]:
-    """Return x, y, z, qx, qy, qz, qw; 'unknown' for what is unobserved."""
+    """Return x, y, z, qx, qy, qz, qw as text, 'unknown' if unobservable."""
     rows = answer_rows(result)
     words = [fixed(row.value, digits) if row.is_known else row.word for row in rows[:3]]
     known = all(row.is_known for row in rows[3:])
@@ -68,7 +67,7 @@ def transform_words(result: CalibrationResult, digits: int, quaternion_digits: i
 
 
 def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
-    """Return the six numbers in columns, the points below each other."""
+    """Return the six numbers in columns, aligned at the decimal point."""
     parts = [row.value_text.partition('.') for row in rows]
     before = max([len(whole) for whole, point, _ in parts if point] + [4])
     after = max([len(digits) for _, _, digits in parts] + [3])
@@ -90,7 +89,7 @@ def _answer(rows: tuple[Row, ...], terminal: Terminal) -> list[str]:
 
 
 def finding_lines(findings: Iterable[Finding], terminal: Terminal, most: int | None) -> list[str]:
-    """Return a blank line and the worst findings, at most ``most``, and how many are left."""
+    """Return a blank line, the ``most`` worst findings, and the number of the others."""
     ordered = worst_first(findings)
     lines = ['']
     for found in ordered[:most]:
@@ -103,7 +102,7 @@ def finding_lines(findings: Iterable[Finding], terminal: Terminal, most: int | N
 
 
 def details(result: CalibrationResult) -> dict[str, str]:
-    """Return how the answer was made, by the name of each thing."""
+    """Return the details of an answer by label: data, method, clocks, residual."""
     a, b = result.frame_a, result.frame_b
     quaternion = transform_words(result, 6, 6)[3:]
     rows = {'quaternion': 'unknown' if 'unknown' in quaternion else _named(quaternion, 'xyzw')}
@@ -121,10 +120,10 @@ def details(result: CalibrationResult) -> dict[str, str]:
     diagnosis = result.diagnosis or {}
     if result.scale != 1.0:
         deviation = diagnosis.get('scale_deviation')
-        # That of what was found on top of the setting.
-        known = '' if deviation is None else (
+        # It is the standard deviation of the estimate relative to the scale of the settings.
+        std = '' if deviation is None else (
             f' +- {result.config.scale * deviation / result.scale:.2%}')
-        rows['scale'] = f'{result.scale:#.5g}{known}, multiplies the positions of {b}'
+        rows['scale'] = f'{result.scale:#.5g}{std}, multiplies the positions of {b}'
     if result.time_offset_s:
         rows['clock offset'] = f'{fixed(result.time_offset_s, 4)} s added to the stamps of {b}'
     if result.clock_drift:
@@ -138,7 +137,7 @@ def details(result: CalibrationResult) -> dict[str, str]:
 
 
 def reference_words(reference: str) -> str:
-    """Return what the motions of a reference are over: 'of 5 poses'."""
+    """Return the span of the motions of a reference: 'of 5 poses'."""
     if reference == 'B1':
         return 'from pose to pose'
     return {'B': f'of {reference[1:]} poses', 'C': f'from the first of each {reference[1:]} poses',
@@ -146,10 +145,9 @@ def reference_words(reference: str) -> str:
 
 
 def deviation_words(covariance: FloatArray) -> list[str]:
-    """Return the six standard deviations of a (6, 6) covariance, metres and degrees.
+    """Return the six standard deviations of a (6, 6) covariance as text, metres and degrees.
 
-    From half of what stands for a direction of which nothing is known on, the number says no
-    more than 'unknown'.
+    'unknown' from half of ``UNOBSERVED_STD``, the placeholder for unobservable directions.
     """
     # Written so that NaN is unknown.
     return [fixed(value, 3 if k >= 3 else 4) if value < limit else 'unknown'
@@ -158,11 +156,11 @@ def deviation_words(covariance: FloatArray) -> list[str]:
 
 
 def format_inspection(found: dict[str, Any], terminal: Terminal | None = None) -> str:
-    """Return the screen of what was found in one file or bag."""
+    """Return the text for the inspection of one file or bag."""
     terminal = terminal or Terminal()
     lines = [found['path'], *_marked((('warning', note) for note in found['notes']), terminal)]
     for item in found['trajectories']:
-        # A file is its trajectory; a bag holds several.
+        # A file holds one trajectory, which has the name of the file.
         if item['name'] != found['path']:
             lines += ['', f'{item["name"]}  ({item["kind"]})']
         messages = item.get('messages', item['poses'])

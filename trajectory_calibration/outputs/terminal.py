@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a terminal can show: its width, its colours, and text broken to fit."""
+"""Width and colours of a terminal, and text wrapped to fit."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import sys
 import textwrap
 from typing import TextIO
 
-# Columns of a text that a program asks for.
+# Columns without a terminal, as from the Python API.
 PLAIN_WIDTH = 99
-# In a file or a pipe a sentence stays one line, for grep, unless COLUMNS is set.
+# In a file or a pipe sentences are not wrapped, for grep, unless COLUMNS is set.
 UNBROKEN = 1_000_000
-_NARROWEST, _WIDEST = 40, 120
-# Of the columns, the most that a label takes: a longer one has its own line.
-_LONGEST_LABEL = 30
+_MIN_WIDTH, _MAX_WIDTH = 40, 120
+# A longer label has its own line.
+_MAX_LABEL = 30
 
 _CODES = {'ok': '32', 'weak': '33', 'unknown': '31', 'prior': '35', 'serious': '31',
           'warning': '33', 'note': '2', 'head': '1', 'soft': '2'}
@@ -25,20 +25,20 @@ _CODES = {'ok': '32', 'weak': '33', 'unknown': '31', 'prior': '35', 'serious': '
 
 @dataclass(frozen=True)
 class Terminal:
-    """How to write: the number of columns, and whether in colour."""
+    """The number of columns, and whether to use colours."""
 
     width: int = PLAIN_WIDTH
     colour: bool = False
 
     @classmethod
     def of(cls, stream: TextIO | None = None) -> Terminal:
-        """Return what a stream, standard output by default, can show; NO_COLOR is honoured."""
+        """Return the terminal of a stream, by default standard output; NO_COLOR is honoured."""
         stream = stream or sys.stdout
-        # Where standard output is closed, there is none.
+        # sys.stdout is None if standard output is closed.
         if stream is None or not stream.isatty():
             return cls(shutil.get_terminal_size((UNBROKEN, 1)).columns
                        if 'COLUMNS' in os.environ else UNBROKEN)
-        width = min(max(shutil.get_terminal_size().columns, _NARROWEST), _WIDEST)
+        width = min(max(shutil.get_terminal_size().columns, _MIN_WIDTH), _MAX_WIDTH)
         plain = os.environ.get('NO_COLOR') or os.environ.get('TERM') == 'dumb'
         return cls(width, not plain)
 
@@ -47,14 +47,14 @@ class Terminal:
         return f'\033[{_CODES[style]}m{text}\033[0m' if self.colour else text
 
     def wrapped(self, text: str, first: str = '', rest: str = '') -> list[str]:
-        """Break a text into lines; paths and names stay whole, however long they are."""
+        """Wrap a text into lines; paths and names are never broken."""
         return textwrap.wrap(
             text, self.width, initial_indent=first, subsequent_indent=rest,
             break_long_words=False, break_on_hyphens=False)
 
     def aligned(self, rows: dict[str, str]) -> list[str]:
-        """Return labels and values in two columns, long values broken under their own column."""
-        width = min(max(map(len, rows), default=0), _LONGEST_LABEL)
+        """Return labels and values in two columns, long values wrapped within their column."""
+        width = min(max(map(len, rows), default=0), _MAX_LABEL)
         lines = []
         for name, value in rows.items():
             head = f'  {name:<{width}}  '
