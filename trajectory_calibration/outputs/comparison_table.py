@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Many answers, or two rigs, as text, CSV and JSON."""
+"""Comparisons of many answers, or of two rigs, as text, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SHOWN_FINDINGS = 2
 
 
 def to_text(comparison: Comparison) -> str:
-    """Return the verdict, then one line for each answer."""
+    """Return the verdict, then one line per answer."""
     rows = [_HEAD, *(cells_of(entry, _SHOWN_FINDINGS) for entry in comparison.entries)]
     widths = [max(len(cells[k]) for cells in rows if len(cells) > 3) for k in range(len(_HEAD))]
     lines = [*comparison.describe(), '']
@@ -33,20 +33,20 @@ def to_text(comparison: Comparison) -> str:
         lines.append('  '.join(padded).rstrip())
     legend = ['+-: 1 standard deviation; unknown: not determined by the motion']
     if comparison.changes:
-        legend.append('A | B: the extrinsic changed between A and B, by so many sigma (standard '
+        legend.append('A | B: the extrinsic changed between A and B, in sigma (standard '
                       'deviations); chi2/dof: about 1 by chance')
     return '\n'.join([*lines, '', *legend]) + '\n'
 
 
 def to_csv(comparison: Comparison) -> str:
-    """Return one row for each answer, the units in the names of the columns."""
+    """Return one row per answer, with the units in the column names."""
     return csv_text([
         {name: f'{value:.9g}' if isinstance(value, float) else value
          for name, value in row(entry).items()} for entry in comparison.entries])
 
 
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return rows of equal names as CSV."""
+    """Return rows with the same keys as CSV."""
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator='\n')
     writer.writeheader()
@@ -55,14 +55,14 @@ def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def to_json(comparison: Comparison) -> str:
-    """Return everything as one JSON object in a line."""
+    """Return the comparison as a JSON object in one line."""
     return json.dumps(comparison.to_dict()) + '\n'
 
 
 def cells_of(entry: Entry, most: int | None = None) -> tuple[str, ...]:
-    """Return name, date, six numbers in words ('0.209 +- 0.063', 'unknown') and findings.
+    """Return name, date, six numbers ('0.209 +- 0.063', 'unknown') and at most ``most`` findings.
 
-    At most ``most`` of the findings. Of an entry without an answer: its name and why.
+    For an entry without an answer: its name, 'no answer' or 'repeated', and the reason.
     """
     result = entry.result
     if result is None:
@@ -74,7 +74,7 @@ def cells_of(entry: Entry, most: int | None = None) -> tuple[str, ...]:
 
 
 def rig_to_text(found: RigComparison) -> str:
-    """Return the verdict, then one line for each sensor."""
+    """Return the verdict, then one line per sensor."""
     lines = [str(found), '', (f'  in {found.base:<11}{"moved by, mm":>18}{"deg":>18}'
                               f'{"chi-squared":>16}  verdict')]
     for item in found.sensors:
@@ -99,7 +99,7 @@ def rig_to_data(found: RigComparison) -> dict[str, Any]:
 
 
 def _rows(found: RigComparison) -> list[dict[str, str | float | int | None]]:
-    """Return what is told of each sensor: metres, degrees, chi-squared, verdict."""
+    """Return a row per sensor: verdict, step and standard deviations, chi-squared test."""
     rows = []
     for item in found.sensors:
         row: dict[str, str | float | int | None] = {

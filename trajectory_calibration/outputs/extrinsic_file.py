@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A known extrinsic out of a file, in any of the forms in which people have one."""
+"""Reader of a known extrinsic from files of many formats."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _T = TypeVar('_T')
 
 
 class KnownExtrinsic(NamedTuple):
-    """The (4, 4) pose of b in a, metres, and a sentence that says which frames these are there."""
+    """The (4, 4) pose of b in a, metres; ``how`` names the format and the frames of the file."""
 
     T_a_b: FloatArray
     how: str
@@ -38,7 +38,7 @@ class KnownExtrinsic(NamedTuple):
 def read_extrinsic(
     path: str | Path, frame_a: str | None = None, frame_b: str | None = None,
 ) -> KnownExtrinsic:
-    """Read the pose of b in a; Kalibr and KITTI files hold the inverse, which is undone.
+    """Read the pose of b in a; the transforms of Kalibr and KITTI files are inverted.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def read_extrinsic(
         The file. ``FILE#NAME`` picks one of several: a joint or child link of a URDF, a camera
         of a Kalibr chain, a sensor of an Autoware kit, ``02`` of a KITTI cam_to_cam file.
     frame_a, frame_b : str, optional
-        Names by which a URDF or an Autoware kit is searched first.
+        Frames that are searched first in a URDF or an Autoware kit.
 
     Raises
     ------
@@ -85,12 +85,12 @@ def read_extrinsic(
 
 
 def transform_of(text: str) -> FloatArray:
-    """Return the (4, 4) pose that a person gave: a file, or numbers as ``parse_transform``.
+    """Return the (4, 4) pose from a file, or from numbers as in ``parse_transform``.
 
-    Raises ConfigError for numbers, SourceError for a file that hold no transform.
+    Raises ConfigError for numbers, SourceError for a file without a transform.
     """
     is_file = False
-    # Too long for a name, or with a zero byte: no file.
+    # A text that is too long for a file name, or has a zero byte, is no file.
     with suppress(OSError, ValueError):
         is_file = Path(text.rpartition('#')[0] or text).is_file()
     return read_extrinsic(text).T_a_b if is_file else parse_transform(text)
@@ -119,7 +119,7 @@ def parse_transform(text: str) -> FloatArray:
 
 
 def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
-    """Return a checked (4, 4) pose of a (4, 4) or (3, 4) matrix, its rotation made exact."""
+    """Return the (4, 4) pose of a (4, 4) or (3, 4) matrix, checked, with an exact rotation."""
     if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
         raise SourceError(f'{file}: {matrix.shape} numbers, needed 4 x 4 or 3 x 4')
     R = matrix[:3, :3]
@@ -130,8 +130,7 @@ def _rigid(matrix: FloatArray, file: Path) -> FloatArray:
         raise SourceError(
             f'{file}: the upper left 3 x 3 is no rotation (off by {off:.2g}), or the last row '
             'not 0 0 0 1; needed a rigid transform, row by row')
-    # Digits beyond those of the file are rounding, which the nearest rotation has not; a matrix
-    # that is exact stays as it is.
+    # The nearest rotation removes the rounding of the file; an exact matrix is not changed.
     exact = R if off < 1e-14 else se3.nearest_rotation(R)
     return se3.from_rotation_translation(exact, matrix[:3, 3])
 
@@ -142,7 +141,7 @@ def _from_numbers(lines: list[str], file: Path) -> KnownExtrinsic:
     if 0 in widths:
         raise SourceError(f'{file} holds no transform; needed {FORMS}')
     if widths in ([6], [7], [8]):
-        # Of eight the first is a stamp.
+        # The first of eight numbers is a stamp.
         return KnownExtrinsic(_of_row(rows[0][widths == [8]:], file), f'one row, {_AS_POSE}')
     if widths in ([16], [12], [4] * 4, [4] * 3):
         form = 'matrix' if rows[1:] else 'one row of a matrix'
@@ -166,7 +165,7 @@ def _from_urdf(
         return KnownExtrinsic(tree.transform(frame_a, frame_b),
                               f'URDF, the pose of {frame_b} in {frame_a}')
     joints = {joint.name: joint for joint in tree.joints.values()}
-    # A link names the joint above it, too.
+    # A link can be given instead of its joint.
     name = tree.joints[key].name if key in tree.joints else key
     joint = _only(joints, name, tree.path, 'joint', 'JOINT',
                   ', or name the frames as the links are named')
@@ -188,7 +187,7 @@ def _from_kitti(rows: Mapping[str, str], file: Path, key: str | None) -> KnownEx
         translation = f'T{name[1:]}'
         if name.startswith('Tr'):
             matrices[name] = values(name, 3, 4)
-        # Camera 0 in camera 0 is no news.
+        # R_00 is the identity: camera 0 in camera 0.
         elif re.fullmatch(r'R(_\d+)?', name) and translation in rows and (key or name != 'R_00'):
             matrices[name[2:] or name] = np.hstack([values(name, 3, 3), values(translation, 3, 1)])
     matrix = _only(matrices, key, file,
@@ -241,7 +240,7 @@ def _from_autoware(
     for base, children in data.items():
         for child, pose in children.items():
             values = [float(pose[name]) for name in (*'xyz', 'roll', 'pitch', 'yaw')]
-            # A child of two bases is named with each.
+            # A child of two bases is named with its base.
             name = f'{base}/{child}' if child in found else str(child)
             found[name] = str(base), str(child), values
     if key is None and frame_b in found and found[frame_b][0] == frame_a:

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Many answers as one page: verdict, six control charts over the date, table. Works offline."""
+"""HTML page of many answers: verdict, six control charts over the date, table."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from trajectory_calibration.outputs.report.page import (
 )
 from trajectory_calibration.result import CalibrationResult
 
-# Half a bar: two standard deviations, as 95 % of errors.
+# Half length of an error bar, standard deviations: 95 %.
 _BAR = 2.0
 
 
 def fleet_page(comparison: Comparison) -> str:
-    """Return the page as HTML: no script, no file beside it."""
+    """Return the page as self-contained HTML without scripts."""
     results = [entry.result for entry in comparison.entries if entry.result is not None]
     frame_a, frame_b = results[0].frame_a, results[0].frame_b
     style, badge = ('failed', 'They differ') if comparison.exit_status else ('good', 'They agree')
@@ -47,7 +47,7 @@ def fleet_page(comparison: Comparison) -> str:
         badge, verdict)
     charts = section(
         1, 'Control charts', _charts(comparison, results),
-        'Dot: one recording, pale where it is weak; bar: two standard deviations up and down. '
+        'Dot: one recording, pale if weak; bar: two standard deviations up and down. '
         'Line and band: mean of the recordings that agree, with its own two standard deviations; '
         f'dashed: a change. Axes of {frame_a}; rotations from the first mean.')
     head = ('', 'date', *(f'{name}, {unit_of(k)}' for k, name in enumerate(NAMES)),
@@ -71,7 +71,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
     std = TO_DEGREES * [np.zeros(6) if item.std is None else item.std for item in results]
     mean_std = [TO_DEGREES * np.sqrt(np.diagonal(item.covariance)) for item in stretches]
     places = _places(results)
-    # Where one stretch ends and the next begins.
+    # Boundaries of the stretches.
     edges = np.concatenate([[-0.05], 0.5 * (places[1:] + places[:-1]), [1.05]])[
         np.cumsum([0, *(len(item.names) for item in stretches)])].tolist()
     dates = [(item.start_utc or '').partition('T')[0] for item in (results[0], results[-1])]
@@ -107,11 +107,11 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
 
 
 def _places(results: Sequence[CalibrationResult]) -> FloatArray:
-    """Return where each recording stands from 0 to 1: by date, or evenly where dates are equal."""
+    """Return (N,) places of the recordings from 0 to 1: by date, or evenly for close dates."""
     dates = np.array([item.start_ns or 0 for item in results])
     even = np.linspace(0, 1, len(results))
     span = dates[-1] - dates[0]
-    # Recordings of one day beside one of another year would be a single blot.
+    # Recordings of one day would overlap beside one of another year.
     if span <= 0 or np.min(np.diff(dates)) < 0.3 / len(results) * span:
         return even
     return (dates - dates[0]) / span

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where one frame of a robot sits in another: frames with one parent each, as in URDF and TF."""
+"""Trees of frames, as in URDF and TF, and the transform between two of them."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TreeEdge:
-    """One transform of a tree: ``T_parent_child`` (4, 4), the pose of the child, metres.
+    """One transform of a tree: ``T_parent_child`` (4, 4), metres.
 
-    ``parent`` and ``child`` are frames, the links of the joint ``name``; ``kind`` is 'fixed' where
-    it never changes, else that of a URDF, or 'moving' in TF.
+    ``parent`` and ``child`` are frames, in a URDF the links of the joint ``name``. ``kind`` is
+    'fixed', another type of a URDF joint, or 'moving' in TF.
     """
 
     parent: str
@@ -38,10 +38,10 @@ class TreeEdge:
 def upwards(
     edges: Mapping[str, TreeEdge], frame: str,
 ) -> Iterator[tuple[str, FloatArray, TreeEdge | None]]:
-    """Yield a frame and those above it: name, (4, 4) pose of the first in it, and what moves.
+    """Yield a frame and its ancestors: name, (4, 4) pose of the first frame in it, moving edge.
 
-    ``edges`` by their child. What moves is an edge between that is not fixed, or None. A circle
-    ends where it closes.
+    ``edges`` are by child. The moving edge is one in between that is not fixed, or None. In a
+    cycle each frame is yielded once.
     """
     T, moving, seen = np.eye(4), None, set()
     while frame not in seen:
@@ -57,9 +57,9 @@ def upwards(
 def between(
     edges: Mapping[str, TreeEdge], parent: str, child: str,
 ) -> tuple[FloatArray, TreeEdge | None] | None:
-    """Return the (4, 4) pose of one frame in another, and what moves between them, or None.
+    """Return the (4, 4) pose of child in parent, and a moving edge in between, or None.
 
-    None where the two are in separate trees.
+    None in place of both if the frames are in separate trees.
     """
     above = {frame: (T, moving) for frame, T, moving in upwards(edges, parent)}
     for frame, T_frame_child, moving in upwards(edges, child):
@@ -72,14 +72,14 @@ def between(
 
 @dataclass(frozen=True, eq=False)
 class FrameTree:
-    """The joints of one URDF, by child link: a link has one parent."""
+    """The joints of one URDF, by child link."""
 
     path: Path
     joints: dict[str, TreeEdge]
 
     @classmethod
     def read(cls, path: Path) -> FrameTree:
-        """Read a URDF, or a part of one; raises SourceError, also for a xacro."""
+        """Read a URDF or a part of one; raises SourceError, also for a xacro."""
         try:
             text = path.read_text(encoding='utf-8')
         except (OSError, ValueError) as error:
@@ -89,7 +89,7 @@ class FrameTree:
     @classmethod
     def parse(cls, text: str, path: Path) -> FrameTree:
         """Read the text of a URDF; ``path`` is for messages."""
-        # Of those who read an extrinsic few have it in XML.
+        # Imported here because few extrinsics are in XML.
         import xml.etree.ElementTree as ET
         if text.lstrip().startswith('<?xml'):
             text = text.partition('?>')[2]
@@ -101,7 +101,7 @@ class FrameTree:
         joints = [_joint(item, path) for item in root.iter('joint')
                   if item.find('parent') is not None]
         if not joints:
-            # <origin xyz rpy> alone is what people paste.
+            # A snippet may be <origin xyz rpy> alone.
             joints = [TreeEdge('', '', _origin(item, path), name='origin')
                       for item in root.iter('origin')]
         if not joints:
@@ -115,9 +115,9 @@ class FrameTree:
         return set(self.joints) | {joint.parent for joint in self.joints.values()}
 
     def transform(self, parent: str, child: str) -> FloatArray:
-        """Return the (4, 4) pose of one frame in another, along fixed joints.
+        """Return the (4, 4) pose of child in parent along fixed joints.
 
-        Raises SourceError where a frame is missing, or no fixed joints connect the two.
+        Raises SourceError if a frame is missing, or no fixed joints connect the two.
         """
         for frame in (parent, child):
             if frame not in self.links:
@@ -159,7 +159,7 @@ def _origin(item: ET.Element, path: Path) -> FloatArray:
 
 
 def numbers_of(text: str) -> FloatArray:
-    """Return the numbers of a text, between spaces or commas; none where it holds other words."""
+    """Return the (N,) numbers of a text, separated by spaces or commas; empty for other text."""
     try:
         return np.array(re.split(r'[\s,]+', text.strip(' ,[]\t\n')), dtype=np.float64)
     except ValueError:

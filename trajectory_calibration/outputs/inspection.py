@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a trajectory offers to a calibration, before there is a second one."""
+"""Inspection of one trajectory: rate, gaps, motion, and whether it suffices to calibrate."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from trajectory_calibration.data.trajectory import Trajectory
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Motions are taken over this time, about that of a turn at a crossing; longer ones let a SLAM
-# drift, shorter ones drown in its noise.
+# Duration of the motions, about that of a turn at a crossing: over longer ones a SLAM drifts, over
+# shorter ones noise dominates.
 _WINDOW_NS = 2_000_000_000
 
-# Residual per metre of error of the extrinsic's translation, over motions of that length. Below
-# the first, what turns is no more than the noise of a SLAM; below the second, the translation is
-# found to decimetres at best.
+# Residual per metre of translation error, over motions of that duration. Below the first limit
+# the rotation is as small as the noise of a SLAM; below the second, the standard deviation of the
+# translation is decimetres at best.
 _NOTHING = 0.02
 _WEAK = 0.1
 
 
 def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str, Any]:
-    """Describe a trajectory, and judge whether its motion can determine an extrinsic.
+    """Describe a trajectory and whether its motion determines an extrinsic.
 
-    Return plain data for JSON, with the unit in each name.
+    ``name`` is its file or topic, ``kind`` the format or message type. Returns plain data for
+    JSON, with the unit in each name.
     """
     steps_s = np.diff(trajectory.stamps_ns) * 1e-9
     rotations = _motions_over_window(trajectory)
-    turned = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
+    rotation_rms = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
     motion, advice = _judge(*translation_gain(rotations))
     findings = worst_first((
         *trajectory.findings, *time_doubts(trajectory), *position_doubts(trajectory),
         *order_doubts(trajectory)))
     return {
-        # The file or the topic, its format or type.
         'name': name,
         'kind': kind,
         'sensor_frame': trajectory.sensor_frame,
@@ -48,15 +48,14 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str
         'poses': len(trajectory),
         'start_s': float(trajectory.stamps_ns[0]) * 1e-9,
         'duration_s': trajectory.duration_s,
-        # Of the median step.
         'rate_hz': 1e9 / trajectory.usual_step_ns,
         'gaps': int(np.count_nonzero(trajectory.gaps)),
         'longest_gap_s': float(steps_s.max()),
-        # Noise adds to it.
+        # Includes noise.
         'path_length_m': float(
             np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1).sum()),
-        # Root mean square over the window, about x, y, z of the sensor.
-        'turned_deg': np.rad2deg(turned).tolist(),
+        # Root mean square of rotation vectors over the window, in the axes of the sensor.
+        'turned_deg': np.rad2deg(rotation_rms).tolist(),
         'motion': motion,
         'advice': advice,
         'findings': [found.to_dict() for found in findings],
@@ -75,9 +74,9 @@ def _motions_over_window(trajectory: Trajectory) -> FloatArray:
 
 
 def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:
-    """Return a word and a sentence; ``gain`` ascends, ``axes`` are its rows."""
-    # Rotations about one axis leave a shift along it unseen: the weakest direction of the shift
-    # is the axis of the turns.
+    """Return status and advice from ascending gains (3,) and their axes, the rows of (3, 3)."""
+    # Rotations about one axis do not determine the translation along it: the weakest direction
+    # of the translation is the axis of rotation.
     axis = axis_name(axes[0])
     if gain[1] < _NOTHING:
         return 'insufficient', (

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One transform between two named frames, moved to where a tree of frames needs it."""
+"""A transform between two named frames for export, and its change to other frames."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from trajectory_calibration.result import CalibrationResult
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The pose of one frame in another, as an export writes it.
+    """The pose of child in parent, as it is exported.
 
-    ``T_parent_child`` is (4, 4), metres: ``p_parent = T_parent_child @ p_child``. ``covariance``,
-    (6, 6), order and side as in ``CalibrationResult``, about the axes of the parent. Of
-    ``unobserved``, the degrees of freedom of the result that neither the motion nor a prior
-    determines ('z of camera in lidar'), ``kept_back`` names those that must not go out, because
-    ``allow_unobserved`` is not set. ``origin`` says where the numbers come from.
+    ``T_parent_child`` is (4, 4), metres: ``p_parent = T_parent_child @ p_child``. ``covariance``
+    (6, 6) has order and side as in ``CalibrationResult``, about the axes of the parent.
+    ``unobserved`` are the degrees of freedom that neither the motion nor a prior determines ('z of
+    camera in lidar'). ``kept_back`` names them if they must not be exported, because
+    ``allow_unobserved`` is not set. ``origin`` names version, solver and number of motions.
     """
 
     parent: str
@@ -45,7 +45,7 @@ class Placement:
         return item.leaving(result.observability.unobserved, result.config)
 
     def leaving(self, unobserved: Sequence[str], config: CalibrationConfig) -> Placement:
-        """Return the same with the degrees of freedom that nothing determines."""
+        """Return the same with ``unobserved`` degrees of freedom."""
         where = f' of {self.child} in {self.parent}'
         hidden = unobserved and not config.allow_unobserved
         return replace(
@@ -60,9 +60,9 @@ class Placement:
             covariance=self._carried(se3.inverse_step(self.T_parent_child)))
 
     def under(self, parent: str, T_new_parent: FloatArray) -> Placement:
-        """Return the same child in another parent.
+        """Return the pose of the child in another parent.
 
-        ``T_new_parent`` (4, 4) is the pose of the present parent in the new one.
+        ``T_new_parent`` (4, 4) is the pose of the old parent in the new one.
         """
         J = np.zeros((6, 6))
         J[:3, :3] = J[3:, 3:] = T_new_parent[:3, :3]
@@ -73,8 +73,8 @@ class Placement:
     def holding(self, child: str, T_new_child: FloatArray) -> Placement:
         """Return the pose of another frame that is fixed to the child.
 
-        ``T_new_child`` (4, 4) is the pose of the present child in the new one: of the optical
-        frame in ``camera_link``.
+        ``T_new_child`` (4, 4) is the pose of the old child in the new one, for instance of the
+        optical frame in ``camera_link``.
         """
         T_child_new = se3.inverse(T_new_child)
         J = np.eye(6)
@@ -84,7 +84,7 @@ class Placement:
             covariance=self._carried(J))
 
     def require_two_frames(self) -> Placement:
-        """Return self; raise ConfigError where both frames have one name."""
+        """Return self; raises ConfigError if both frames have the same name."""
         if self.parent == self.child:
             raise ConfigError(
                 f'both frames are named {self.parent}: a frame cannot be its own parent; '
@@ -98,5 +98,5 @@ class Placement:
 
 
 def kept_back(items: Iterable[Placement]) -> str:
-    """Return what of all of them must not go out, '' for nothing."""
+    """Return the components of all placements that must not be exported, '' for none."""
     return '; '.join(item.kept_back for item in items if item.kept_back)

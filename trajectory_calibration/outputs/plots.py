@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the report in Matplotlib: for notebooks, papers, PNG, SVG and PDF.
+"""The figures of the report in Matplotlib, for notebooks, PNG, SVG and PDF.
 
-``Figure`` is used without pyplot: no window, no global state, no backend to choose.
+``Figure`` is used without pyplot: no window, no global state, no backend.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 FORMATS = ('png', 'svg', 'pdf')
 
-# Colour, width and dashes of the classes of the style sheet that are no plain line of a.
+# Colour, width and dashes by class of the style sheet; others are plain lines of a.
 _STYLES = {
     'line-b wide': ('b', 2.4, '-'), 'line-thin': ('a', 0.6, '-'), 'line-x': ('x', 1.2, '-'),
     'line-y': ('y', 1.2, '--'), 'line-z': ('z', 1.2, ':'), 'jump': ('jump', 1.0, '-'),
@@ -52,17 +52,17 @@ def plot(
     result: CalibrationResult, a: Trajectory | None = None, b: Trajectory | None = None,
     T_a_b_true: FloatArray | None = None,
 ) -> Figure:
-    """Return a figure of a result: its deviations, and with both trajectories what they show."""
+    """Return a figure of a result: its standard deviations, or with trajectories an overview."""
     if a is None or b is None:
         return _deviations(result)
     return _overview(report_data(result, a, b, T_a_b_true))
 
 
 def save_plots(data: ReportData, folder: Path) -> None:
-    """Write every figure in each format; raises ResultError where that cannot be."""
+    """Write every figure in each format; raises ResultError if a file cannot be written."""
     for name, drawn in _FIGURES.items():
         figure = drawn(data)
-        # Laid out once, not for each format.
+        # The layout is computed once, not for each format.
         figure.draw_without_rendering()
         figure.set_layout_engine('none')
         for kind in FORMATS:
@@ -72,13 +72,13 @@ def save_plots(data: ReportData, folder: Path) -> None:
 
 
 def plot_files(folder: Path) -> list[Path]:
-    """Return the files that ``save_plots`` writes; MissingPackageError where it cannot draw."""
+    """Return the files of ``save_plots``; raises MissingPackageError without Matplotlib."""
     require('matplotlib.figure')
     return [folder / f'{name}.{kind}' for name in _FIGURES for kind in FORMATS]
 
 
 def _drawn(result: CalibrationResult, plots: dict[str, Plot | None], more: str = '') -> Figure:
-    """Return a figure of plots with their titles; None makes axes in three dimensions."""
+    """Return a figure of plots by title; for None the axes are three-dimensional."""
     columns = min(3, len(plots))
     rows = -(-len(plots) // columns)
     figure: Figure = require('matplotlib.figure').Figure(
@@ -94,7 +94,7 @@ def _drawn(result: CalibrationResult, plots: dict[str, Plot | None], more: str =
 
 
 def _deviations(result: CalibrationResult) -> Figure:
-    """Draw the standard deviation of each number, with its two limits."""
+    """Return a figure of the standard deviation of each number, with its two limits."""
     rows = answer_rows(result)
     plots: dict[str, Plot | None] = {}
     for title, part in (('translation', rows[:3]), ('rotation', rows[3:])):
@@ -114,7 +114,7 @@ def _deviations(result: CalibrationResult) -> Figure:
 
 
 def _titled(figures: list[Shown], *kinds: str) -> dict[str, Plot | None]:
-    """Return the plots of some kinds by their titles."""
+    """Return the plots of these kinds by title."""
     return {shown.title: shown.picture for shown in figures
             if shown.kind in kinds and isinstance(shown.picture, Plot)}
 
@@ -137,12 +137,12 @@ def _overview(data: ReportData) -> Figure:
 
 @cache
 def _colours() -> dict[str, str]:
-    """Return the colours of the page on light paper, by name."""
+    """Return the colours of the light page, by name."""
     return dict(re.findall(r'--(\w+):(#\w+)', asset('page.css').partition('@media')[0]))
 
 
 def _copy(plot: Plot, axes: Any) -> None:
-    """Draw a plot of the report on Matplotlib axes, which keep its numbers."""
+    """Draw a plot of the report on Matplotlib axes, in data coordinates."""
     if plot.log_y:
         axes.set_yscale('log')
     axes.set(xlim=plot.x, ylim=plot.y)
@@ -172,7 +172,7 @@ def _copy(plot: Plot, axes: Any) -> None:
         axes.legend(fontsize=8, frameon=False)
 
 
-# Name of the file -> function of the data.
+# Functions by file name.
 _FIGURES: dict[str, Callable[[ReportData], Figure]] = {
     'overview': _overview,
     'deviations': lambda data: _deviations(data.result),
