@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Advice about a pair in the words of RIG.yaml: a rig has no options for single sensors."""
+"""Advice about a pair with keys of RIG.yaml in place of options, which a rig does not have."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WHOLE = {
 
 
 def in_rig_words(text: str, parent: str, child: str) -> str:
-    """Return what was said of a pair with the keys of RIG.yaml in place of options.
+    """Return a message about a pair with keys of RIG.yaml in place of options.
 
     ``parent`` is sensor a of the pair, ``child`` sensor b.
     """

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""``calibrate_rig``: trajectories of several sensors in, one consistent rig out."""
+"""``calibrate_rig``: one consistent rig from the trajectories of several sensors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from trajectory_calibration.rig.result import (
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.tree import build_tree, clock_of, log_scale_std_of
 
-# The finding of each kind of contradiction.
+# Code of the finding by kind of contradiction.
 _CODES = {
     'moved': 'rig-mount-moved', 'clock': 'rig-clock', 'loops': 'rig-contradiction',
     'vehicle': 'rig-other-motion', 'time': 'rig-no-common-time', 'prior': 'prior-contradicts'}
@@ -56,33 +56,33 @@ _ASSUMED = Finding('rig-shared-noise', (
     'trajectories, or these are too short. To measure it, run rig RIG.yaml on a longer drive'
 ))
 
-# Components that curves show; ramps and banks show the others.
+# Components that curves determine; ramps and banks determine the others.
 _SHOWN_BY_CURVES = ('x', 'y', 'rotation z')
 
 
 def calibrate_rig(
     trajectories: Mapping[str, Trajectory], config: RigConfig | None = None,
 ) -> RigResult:
-    """Find the poses of several sensors in the base from their trajectories.
+    """Estimate the poses of several sensors in the base from their trajectories.
 
     Parameters
     ----------
     trajectories : mapping of str to Trajectory
-        By the name of the sensor; two or more.
+        By sensor name; two or more.
     config : RigConfig, optional
-        Settings; the defaults where omitted.
+        Settings, by default those of RigConfig().
 
     Returns
     -------
     RigResult
-        Of every sensor that shares motion with others, by trees where not all do. The answer of
-        two sensors is that of ``calibrate``.
+        Of every sensor with a calibrated pair; several trees if not all sensors are connected. For
+        two sensors the answer is that of ``calibrate``.
 
     Raises
     ------
     CalibrationError
-        ConfigError for names that do not fit, TrajectoryError, or the error of a pair where no two
-        sensors give an answer.
+        ConfigError for names that do not match, TrajectoryError, or the error of a pair if no pair
+        has an answer.
 
     """
     config = config or RigConfig()
@@ -109,11 +109,11 @@ def calibrate_rig(
 def fuse_results(
     results: Sequence[CalibrationResult], config: RigConfig | None = None,
 ) -> RigResult:
-    """Make one rig of saved answers of pairs; sensors are named by their frames.
+    """Fuse results of pairs to one rig; the names of the sensors are their frames.
 
-    Without trajectories nobody knows what the pairs share: each sensor is taken to have half of
-    what its pairs err, and a finding says so. Raises ConfigError: no results, a pair that is there
-    twice, or a base that none of them has.
+    Without trajectories the correlation of the pairs is unknown: each sensor is assumed to cause
+    half of the variance of its pairs, and there is a finding. Raises ConfigError for no results, a
+    pair with two results, or a base that is in no result.
     """
     config = config or RigConfig()
     if not results:
@@ -136,7 +136,7 @@ def fuse_results(
 
 
 def _base_first(given: Iterable[str], config: RigConfig) -> list[str]:
-    """Return the names of the sensors; raise ConfigError where the settings have others."""
+    """Return the names of the sensors; raises ConfigError if the settings have others."""
     names = list(given)
     for name in (*config.sensors, config.base or names[0]):
         if name not in names:
@@ -147,7 +147,7 @@ def _base_first(given: Iterable[str], config: RigConfig) -> list[str]:
 def _of_two(
     base: str, other: str, trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
-    """Return the answer of ``calibrate`` as a rig."""
+    """Return the rig of two sensors from ``calibrate``."""
     calibration = replace(
         config.calibration, **config.of(other).given, **config.scale_of(other))
     try:
@@ -183,7 +183,7 @@ def _of_answers(
     solved: Sequence[PairAnswer], failures: Sequence[PairFailure], names: Sequence[str],
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
-    """Return the rig of the answers of pairs, tree by tree."""
+    """Return the rig from the answers of pairs, tree by tree."""
     if not solved:
         raise _no_answer(failures, len(names))
     groups = connected(names, solved)
@@ -216,7 +216,7 @@ def _solve_group(
     group: Sequence[str], answers: Sequence[PairAnswer],
     trajectories: Mapping[str, Trajectory], config: RigConfig,
 ) -> RigResult:
-    """Return the rig of sensors that are connected."""
+    """Return the rig of one tree of sensors."""
     tree = build_tree(group, answers, trajectories, config.calibration)
     priors = {k: prior for k, name in enumerate(group)
               if k and (prior := config.of(name).prior).given}
@@ -267,7 +267,7 @@ def _answer(
 
 
 def _findings(rig: RigResult) -> tuple[Finding, ...]:
-    """Return what a person should know of a rig."""
+    """Return the findings about a rig, without those of single pairs."""
     found = [
         Finding(_CODES[item.kind], item.text, {'sensor': item.sensor, 'p_value': item.p_value})
         for item in rig.contradictions]
@@ -293,7 +293,7 @@ def _findings(rig: RigResult) -> tuple[Finding, ...]:
 
 
 def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
-    """Return what is serious about single pairs and said nowhere else."""
+    """Return the serious findings of single pairs, except unobserved directions."""
     return tuple(
         replace(found, text=f'{answer.parent} - {answer.child}: '
                 + in_rig_words(found.text, answer.parent, answer.child))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Does a rig still hold? Two rigs of independent drives, sensor by sensor."""
+"""Comparison of two rigs from independent drives: which sensors have moved."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from trajectory_calibration.rig.shared_noise import twist_to_step
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A sensor then and now.
+    """The change of the pose of a sensor.
 
     Attributes
     ----------
     sensor : its name.
-    step, std : (6,), from the old pose in the base to the new one, order as a covariance; of the
-        base itself, about the base. NaN of components that the drives leave unobserved.
-    chi_squared, degrees, p_value : of no change, along what both drives observe.
+    step, std : (6,), from the old pose in the base to the new one, in covariance order, and its
+        standard deviations; for the base about its own axes. NaN for unobserved components.
+    chi_squared, degrees, p_value : test of no change along directions that both drives observe.
 
     """
 
@@ -46,17 +46,17 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class RigComparison:
-    """What became of a rig.
+    """The result of a comparison of two rigs.
 
     Attributes
     ----------
-    base : the sensor in which all others are compared.
-    sensors : what every sensor that both rigs have did, seen from the base; the base itself where
-        it moved.
-    missing : that the new rig does not have.
-    changes : sensors that moved, the largest first.
-    chi_squared, degrees : of no change at all.
-    same_recording : whether both rigs hold one trajectory: they share its errors and tell nothing.
+    base : the sensor in whose frame the others are compared.
+    sensors : the change of every common sensor in the base; the base itself only if it moved.
+    missing : sensors that were not compared.
+    changes : sensors that moved, largest change first.
+    chi_squared, degrees : test of no change at all.
+    same_recording : whether both rigs have a common trajectory; then their errors are correlated,
+        and nothing is tested.
 
     """
 
@@ -70,17 +70,17 @@ class RigComparison:
 
     @property
     def p_value(self) -> float:
-        """Return how often chance alone exceeds the chi-squared."""
+        """Return the p-value of the chi-squared."""
         return exceedance(self.chi_squared, self.degrees)
 
     @property
     def holds(self) -> bool:
-        """Tell whether nothing moved; True as well where nothing could be told: see ``whole``."""
+        """Return whether no sensor moved; also True if nothing was compared: see ``whole``."""
         return not self.changes
 
     @property
     def whole(self) -> bool:
-        """Tell whether every sensor was compared, in some direction at least."""
+        """Return whether every sensor was compared in one direction at least."""
         return not (self.same_recording or self.missing) and all(
             item.degrees for item in self.sensors)
 
@@ -95,11 +95,11 @@ class RigComparison:
 
 
 def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
-    """Compare two rigs; a sensor is named only as far as the others do not explain it.
+    """Compare two rigs and find the sensors that moved.
 
-    The sensor whose own move explains most is taken out first, and so on. Where all sensors seem
-    to move alike, it is the base that did. Of one recording no changes are told. Raises
-    ResultError for fewer than two common sensors.
+    Greedy: the sensor whose change reduces chi-squared most is freed first, until the rest agrees.
+    If all sensors seem to move alike, the base has moved. Rigs of one recording are not tested.
+    Raises ResultError for fewer than two common sensors.
     """
     base = old.base
     tree = next((names for names in new.trees.values() if base in names), ())
@@ -111,7 +111,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     (before, V), (after, V_new) = (_twists(rig, base, others) for rig in (old, new))
     shift = se3.log_se3(np.stack(after) @ se3.inverse(before)).ravel()
     V += V_new
-    # One column of blocks for each sensor: the base moves all others the other way.
+    # Design matrix by sensor: a move of the base moves all others inversely.
     columns = {name: np.kron(np.eye(len(others))[:, [k]], np.eye(6))
                for k, name in enumerate(others)}
     columns[base] = -np.kron(np.ones((len(others), 1)), np.eye(6))
@@ -130,28 +130,28 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
     K = whitener(V, limits)
     shift = K @ shift
     total, count = float(shift @ shift), len(K)
-    left, degrees = total, count
+    remaining, degrees = total, count
     found: list[Change] = []
     free = np.zeros((len(V), 0))
     same_recording = not {*old.recordings}.isdisjoint(new.recordings)
-    while not same_recording and degrees > 0 and exceedance(left, degrees) < FALSE_ALARM:
+    while not same_recording and degrees > 0 and exceedance(remaining, degrees) < FALSE_ALARM:
         tried = []
         for name, column in columns.items():
             A = np.concatenate([free, limits * column], axis=1)
-            # A move along what is unobserved is not looked for either.
+            # Moves along unobserved directions are not estimated.
             answer, _, rank, _ = np.linalg.lstsq(
                 K @ A, shift, rcond=1.0 / max(1.0, float(np.linalg.norm(K @ A, 2))))
             tried.append((float(np.sum((shift - K @ A @ answer)**2)), name,
                           limits * answer[-6:], A, count - int(rank)))
-        rest, name, twist, free, remaining = min(tried, key=lambda item: item[0])
+        least, name, twist, free, least_degrees = min(tried, key=lambda item: item[0])
         del columns[name]
-        L, shown = to_step[name], degrees - remaining
-        # What nothing tells has the deviation of the limit, at least.
+        L, gain, gain_degrees = to_step[name], remaining - least, degrees - least_degrees
+        # Standard deviations with the limits as a prior, for unobserved directions.
         bound = np.linalg.inv((K @ free[:, -6:]).T @ (K @ free[:, -6:]) + np.eye(6))
         std = np.sqrt(np.diagonal(L @ (np.outer(limits, limits) * bound) @ L.T))
-        found.append(Change(name, L @ twist, std, left - rest, shown,
-                            min(1.0, exceedance(left - rest, shown) * len(tried))))
-        left, degrees = rest, remaining
+        found.append(Change(name, L @ twist, std, gain, gain_degrees,
+                            min(1.0, exceedance(gain, gain_degrees) * len(tried))))
+        remaining, degrees = least, least_degrees
     of_base = [item for item in found if item.sensor == base]
     missing = tuple(name for name in old.sensors if name not in (base, *others))
     return RigComparison(base, (*of_base, *sensors), missing, tuple(found), total, count,
@@ -161,7 +161,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
 def _twists(
     rig: RigResult, base: str, others: list[str],
 ) -> tuple[list[FloatArray], FloatArray]:
-    """Return (4, 4) sensors in ``base``, and the (6 n, 6 n) covariance of their twists."""
+    """Return n (4, 4) poses in ``base``, and the (6 n, 6 n) covariance of their twists."""
     Ad = se3.adjoint(se3.inverse(rig.sensors[base].T_base_sensor))
     rows = np.concatenate([
         Ad @ (twist_rows(rig, name) - twist_rows(rig, base)) for name in others])

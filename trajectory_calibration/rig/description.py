@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""RIG.yaml: which sensors a vehicle has, where their trajectories are, and how to calibrate."""
+"""RIG.yaml: the sensors of a vehicle, the sources of their trajectories, and settings."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from trajectory_calibration.rig.settings import known_of, require_known, RigConf
 from trajectory_calibration.sources.inputs import InputOptions
 from trajectory_calibration.sources.transforms import TF_PREFIX
 
-# Where a trajectory comes from: one of these for each sensor.
+# Sources of a trajectory: each sensor has one of these keys.
 _SOURCES = ('file', 'topic', 'tf')
 _READING = tuple(item.name for item in fields(InputOptions))
 _KNOWN_OF_SENSOR = tuple(item.name for item in fields(SensorSettings))
 
-# Keys of the file that are settings of the rig, and the one with another name there.
+# Keys of the file that are settings of the rig.
 _RIG_KEYS = ('base', 'pairs', 'leave_out_contradicting', 'processes')
-# ``bags`` is the first spelling of ``bag``.
+# ``bags`` is the older spelling of ``bag``.
 _KEYS = (*_RIG_KEYS, 'bag', 'bags', 'sensors', 'settings')
 
 
 @dataclass(frozen=True)
 class RigDescription:
-    """What RIG.yaml holds.
+    """The contents of RIG.yaml.
 
     Attributes
     ----------
-    inputs : by sensor: a file, a topic or ``tf:PARENT.CHILD``, and how to read it.
-    bags : that hold the topics and transforms.
+    inputs : by sensor: a file, a topic or ``tf:PARENT.CHILD``, and options for reading it.
+    bags : with the topics and transforms.
     config : settings of the rig.
 
     """
@@ -75,7 +75,7 @@ class RigDescription:
 
 
 def _input(name: str, values: Mapping[str, Any], folder: Path) -> tuple[str, InputOptions]:
-    # The name of the frame is a setting of both.
+    # The frame is a key of both.
     known = dict.fromkeys((*_SOURCES, *_READING, *_KNOWN_OF_SENSOR))
     require_known(values, list(known), f' of sensor {name}')
     given = [key for key in _SOURCES if key in values]

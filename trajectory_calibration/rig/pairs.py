@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Which pairs of sensors are calibrated, and what came of each."""
+"""Selection and calibration of pairs of sensors."""
 
 from __future__ import annotations
 
@@ -20,18 +20,16 @@ from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.rig.advice import in_rig_words
 from trajectory_calibration.rig.settings import RigConfig
 
-# Up to this many sensors every pair is calibrated.
+# Most sensors for which every pair is calibrated.
 _EVERY_PAIR = 4
 
-# Sensors that all others are compared with besides the base, where not every pair is.
+# With more sensors, all are paired with the base and with this many others.
 _HUBS = 2
 
-# Poses that a pair without the base uses where not every pair is calibrated: it checks the others,
-# and its stated covariance says that it used less.
+# Most poses of a pair with a hub: it only checks the others, and its covariance is larger.
 _CHECKED_POSES = 2000
 
-# Poses of all sensors together below which a process, of whose time 0.7 s are its start, costs
-# more than it saves.
+# Fewest poses of all sensors for which processes, which take 0.7 s to start, save time.
 _WORTH_PROCESSES = 20_000
 
 # Parent, child, their trajectories, and the settings.
@@ -40,7 +38,7 @@ _Task = tuple[str, str, Trajectory, Trajectory, RigConfig]
 
 @dataclass(frozen=True, eq=False)
 class PairAnswer:
-    """What two sensors alone say: their names, and the answer, which has a covariance."""
+    """The result of a pair, which has a covariance, and the names of its sensors."""
 
     parent: str
     child: str
@@ -48,13 +46,13 @@ class PairAnswer:
 
     @property
     def covariance(self) -> FloatArray:
-        """Return the (6, 6) that the answer states."""
+        """Return the (6, 6) covariance of the result."""
         return np.asarray(self.result.covariance)
 
 
 @dataclass(frozen=True)
 class PairFailure:
-    """Why two sensors have no answer, and whether that is because they share no time."""
+    """Why a pair has no answer, and whether the reason is that it has no common time."""
 
     parent: str
     child: str
@@ -65,7 +63,7 @@ class PairFailure:
 def sorted_out(
     pairs: Iterable[PairAnswer | PairFailure],
 ) -> tuple[list[PairAnswer], list[PairFailure]]:
-    """Return the answers and the failures; an answer that does not say how sure it is, is one."""
+    """Return the answers and the failures; an answer without a covariance is a failure."""
     answers: list[PairAnswer] = []
     failures: list[PairFailure] = []
     for pair in pairs:
@@ -93,10 +91,9 @@ def _calibrated(task: _Task) -> PairAnswer | PairFailure:
 def calibrate_pairs(
     trajectories: Mapping[str, Trajectory], base: str, config: RigConfig,
 ) -> tuple[list[PairAnswer], list[PairFailure]]:
-    """Calibrate the pairs that the settings ask for, in rounds.
+    """Calibrate the pairs of the settings.
 
-    A pair is oriented so that a sensor without scale is the child; else the one that stands
-    first is the parent, the base before all.
+    The child of a pair is the sensor with free scale, otherwise the later one; the base is first.
     """
     names = [base, *(name for name in trajectories if name != base)]
     order = sorted(names, key=lambda name: config.of(name).scale == 'free').index
@@ -105,7 +102,7 @@ def calibrate_pairs(
     executor = Executor(processes=config.processes or (0 if worth else 1))
 
     def extend(wanted: Iterable[tuple[str, str]], most: int = 0) -> list[PairAnswer]:
-        """Calibrate pairs that are new, with so many poses at most; return all answers."""
+        """Calibrate new pairs, with ``most`` poses at most (0: all); return all answers."""
         new = dict.fromkeys((min(pair, key=order), max(pair, key=order)) for pair in wanted
                             if frozenset(pair) not in found)
         tasks = [(parent, child, _thinned(trajectories[parent], most),
@@ -121,25 +118,25 @@ def calibrate_pairs(
         hubs = _hubs(answers, base, config)
         answers = extend(((hub, name) for hub in hubs for name in names if name != hub),
                          _CHECKED_POSES)
-    # Sensors that the base does not reach may reach each other.
-    extend((one, other) for group, rest in combinations(connected(names, answers), 2)
-           for one in group for other in rest)
+    # Sensors without an answer to the base may have one to each other.
+    extend((one, other) for group, others in combinations(connected(names, answers), 2)
+           for one in group for other in others)
     return sorted_out(found.values())
 
 
 def _hubs(answers: Sequence[PairAnswer], base: str, config: RigConfig) -> list[str]:
-    """Return the sensors that are known best against the base, one whose unit is known first."""
+    """Return the sensors with the smallest covariance to the base; metric ones come first."""
     badness = {}
     for answer in answers:
         name, = {answer.parent, answer.child} - {base}
-        # The geometric mean, so that a height that all leave unobserved decides nothing.
+        # Geometric mean, so that a height that is unobserved by all has no influence.
         values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
         badness[name] = config.of(name).scale == 'free', float(np.mean(np.log(values)))
     return sorted(badness, key=badness.__getitem__)[:_HUBS]
 
 
 def connected(names: Sequence[str], answers: Sequence[PairAnswer]) -> list[list[str]]:
-    """Return the groups of sensors that answers connect, each in the order of the names."""
+    """Return the groups of sensors that answers connect, in the order of the names."""
     group = {name: {name} for name in names}
     for answer in answers:
         both = group[answer.parent] | group[answer.child]
@@ -156,11 +153,11 @@ def _thinned(trajectory: Trajectory, most: int) -> Trajectory:
 
 
 def _run(tasks: Sequence[_Task], executor: Executor) -> list[PairAnswer | PairFailure]:
-    """Calibrate pairs, here where there is one process."""
+    """Calibrate pairs, in this process if there is one only."""
     count = min(executor.count, len(tasks))
     if count < 2:
         return list(map(_calibrated, tasks))
-    # Not forked: whoever calls may have threads, of ROS or a notebook, whose locks a copy of the
-    # process would keep for ever.
+    # Not forked: the caller may have threads, of ROS or a notebook, whose locks a copy of the
+    # process would never release.
     found = replace(executor, processes=count).unordered(_calibrated, tasks)
     return [answer for _, answer in sorted(found, key=itemgetter(0))]

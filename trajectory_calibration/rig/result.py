@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The rig, with everything needed to judge it."""
+"""The result of the calibration of a rig."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from trajectory_calibration.rig.shared_noise import twist_to_step
 from trajectory_calibration.rig.windows import Clock
 from trajectory_calibration.version import __version__
 
-# Raised when a key of the saved form changes its meaning.
+# Incremented when a key of the saved file changes its meaning.
 RIG_FORMAT_VERSION = 1
 
 
@@ -43,15 +43,15 @@ class SensorAnswer:
     Attributes
     ----------
     name, frame : of the sensor, and of its frame.
-    base : name of the sensor whose frame its pose is in: the root of its tree.
+    base : name of the root of its tree; the pose is in its frame.
     T_base_sensor : (4, 4), metres.
-    covariance : (6, 6), order and side as in ``CalibrationResult``; zero of a root.
-    status : 'observed', 'weak', 'unobserved', or 'prior' where only the prior knows, of x, y, z,
-        rotation x, y, z.
+    covariance : (6, 6), order and side as in ``CalibrationResult``; zero for a root.
+    status : 'observed', 'weak', 'unobserved', or 'prior' if only the prior determines it, by x, y,
+        z, rotation x, y, z.
     scale, scale_std : metres of the base per metre of the sensor.
     clock : of the sensor.
-    noise : of the sensor, or None where nothing tells.
-    poses : of its trajectory; 0 where the rig was made of results.
+    noise : of the sensor, or None if unknown.
+    poses : number of poses of its trajectory; 0 for a rig from saved results.
 
     """
 
@@ -69,24 +69,24 @@ class SensorAnswer:
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """Return the components that the motion leaves unobserved."""
+        """Return the unobserved components."""
         return tuple(name for name in DEGREES_OF_FREEDOM if self.status.get(name) == UNOBSERVED)
 
 
 @dataclass(frozen=True, eq=False)
 class PairReport:
-    """One pair beside the rig.
+    """One pair compared with the rig.
 
     Attributes
     ----------
     parent, child : names.
     failure : why there is no answer, or empty.
-    residual : (6,), its answer less the rig's, order as a covariance; NaN without an answer.
-    std : (6,), what the pair states.
-    chi_squared, degrees : of the residual, along what is observed; NaN where no other pair checks
+    residual : (6,), step from the rig to its answer, in covariance order; NaN without an answer.
+    std : (6,), standard deviations of the pair.
+    chi_squared, degrees : of the residual along observed directions; NaN if no other pair checks
         it.
-    poses : pairs of poses.
-    used : whether it has part in the answer.
+    poses : number of pose pairs.
+    used : whether it influences the rig.
 
     """
 
@@ -102,12 +102,12 @@ class PairReport:
 
     @property
     def p_value(self) -> float:
-        """Return how often chance alone exceeds the chi-squared; 1 where nothing checks it."""
+        """Return the p-value of the chi-squared; 1 if no other pair checks it."""
         return exceedance(self.chi_squared, self.degrees)
 
     @property
     def words(self) -> str:
-        """Return what came of the pair, in a few words."""
+        """Return the failure or the chi-squared as text."""
         return self.failure or (
             f'chi-squared {self.chi_squared:.1f} of {self.degrees}' if self.degrees else
             'no other pair checks it')
@@ -121,9 +121,9 @@ class Contradiction:
     ----------
     sensor : its name.
     kind : 'moved', 'clock', 'loops', 'vehicle', 'prior' or 'time'.
-    text : what was found, and what to do.
-    chi_squared, degrees, p_value : of the test, where there is one.
-    left_out : whether the sensor is not part of the answer.
+    text : description and advice.
+    chi_squared, degrees, p_value : of the test, if there is one.
+    left_out : whether the sensor is not in the result.
 
     """
 
@@ -143,16 +143,16 @@ class RigResult:
     Attributes
     ----------
     base : name of the base.
-    sensors : by name, the base first; a sensor without an answer is not among them.
+    sensors : by name, the base first; without sensors that have no answer.
     covariance : (6 M, 6 M), of ``free`` in its order, each sensor as in ``CalibrationResult``.
-    free : (M,) names of the sensors that are no root of a tree.
-    pairs : every pair that was tried.
-    contradictions : sensors that do not fit, the worst first.
+    free : (M,) names of the sensors that are not the root of a tree.
+    pairs : all pairs that were calibrated, with failures.
+    contradictions : sensors that do not fit the others, worst first.
     chi_squared, degrees : of all loops.
-    findings : what a person or a program should know, worst first.
+    findings : about the rig, worst first.
     config : the settings.
-    recordings : ``recording_of`` each trajectory; another rig shares errors that shares one. Empty
-        in files that do not say so.
+    recordings : ``recording_of`` each trajectory; rigs with a common one have common errors. Empty
+        in files without it.
     version : of the package.
 
     """
@@ -172,7 +172,7 @@ class RigResult:
 
     @property
     def p_value(self) -> float:
-        """Return how often chance alone exceeds the chi-squared of the loops."""
+        """Return the p-value of the chi-squared of the loops."""
         return exceedance(self.chi_squared, self.degrees)
 
     @property
@@ -185,27 +185,27 @@ class RigResult:
 
     @property
     def unobserved(self) -> dict[str, tuple[str, ...]]:
-        """Return the unobserved components of the sensors that have some."""
+        """Return the unobserved components by sensor, without sensors that have none."""
         return {name: sensor.unobserved for name, sensor in self.sensors.items()
                 if sensor.unobserved}
 
     @property
     def unplaced(self) -> tuple[str, ...]:
-        """Return the sensors that were asked for and have no pose in the base."""
-        asked = dict.fromkeys(
+        """Return the sensors of all pairs that have no pose in the base."""
+        names = dict.fromkeys(
             name for pair in self.pairs for name in (pair.parent, pair.child))
-        return tuple(name for name in asked if name not in self.trees.get(self.base, ()))
+        return tuple(name for name in names if name not in self.trees.get(self.base, ()))
 
     def transform(self, parent: str, child: str) -> FloatArray:
-        """Return (4, 4) the pose of one sensor in another; round every loop it is the identity.
+        """Return the (4, 4) pose of child in parent; the product over a loop is the identity.
 
-        Raises ResultError for a sensor that is not part of the answer, or two of different trees.
+        Raises ResultError for a sensor that is not in the rig, or sensors of two trees.
         """
         a, b = self._both(parent, child)
         return se3.inverse(a.T_base_sensor) @ b.T_base_sensor
 
     def covariance_of(self, parent: str, child: str) -> FloatArray:
-        """Return (6, 6) of ``transform``, about the fixed axes of the parent."""
+        """Return the (6, 6) covariance of ``transform``, about the fixed axes of the parent."""
         a, b = self._both(parent, child)
         rows = twist_to_step(a.T_base_sensor, b.T_base_sensor) @ (
             twist_rows(self, child) - twist_rows(self, parent))
@@ -244,7 +244,7 @@ class RigResult:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> RigResult:
-        """Build a rig from what ``to_dict`` gave; raises ResultError."""
+        """Build a rig from the output of ``to_dict``; raises ResultError."""
         try:
             if data['rig_format_version'] != RIG_FORMAT_VERSION:
                 raise ResultError(
@@ -253,7 +253,7 @@ class RigResult:
             sensors = {str(name): _sensor_from_dict(str(name), item)
                        for name, item in data['sensors'].items()}
             free = tuple(map(str, data['covariance_of']))
-            # Without a free sensor a list of lists is an empty list.
+            # Without free sensors the covariance is an empty list.
             shape = 6 * len(free), 6 * len(free)
             return cls(
                 base=str(data['base']), sensors=sensors, free=free,
@@ -276,13 +276,13 @@ class RigResult:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RigResult:
-        """Read what ``save`` wrote; raises ResultError."""
+        """Read a file of ``save``; raises ResultError."""
         return load_yaml(Path(path), cls.from_dict, ResultError, 'a rig',
                          'no rig; needed what save() wrote')
 
 
 def is_rig(path: Path) -> bool:
-    """Tell whether a saved result is that of a rig; False where it cannot be read."""
+    """Return whether a file is a saved rig; False if it cannot be read."""
     try:
         return 'rig_format_version' in path.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError):
@@ -290,13 +290,13 @@ def is_rig(path: Path) -> bool:
 
 
 def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
-    """Return the status of each component of a (6, 6) covariance under the settings' limits."""
+    """Return the status of each component of a (6, 6) covariance by the limits of the settings."""
     return {name: status_of(config, std, rotation=k >= 3) for k, (name, std) in enumerate(
         zip(DEGREES_OF_FREEDOM, deviations_of(covariance).tolist(), strict=True))}
 
 
 def twist_rows(rig: RigResult, name: str) -> FloatArray:
-    """Return (6, 6 M): how a sensor moves, as a twist about its base, with the steps of a rig."""
+    """Return the (6, 6 M) Jacobian of a twist of a sensor about its base by steps of the rig."""
     rows = np.zeros((6, len(rig.covariance)))
     if name in rig.free:
         k = 6 * rig.free.index(name)

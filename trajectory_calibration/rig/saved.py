@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Saved results of pairs, one of each pair: what a rig is made of without trajectories."""
+"""Reader of saved results of pairs, from which a rig is fused without trajectories."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from trajectory_calibration.errors import ConfigError, counted, ResultError
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.sources.storage import natural_key
 
-# Files that are named; the rest is counted.
+# Most files that a finding names.
 _NAMED = 3
 
 
 def read_results(
     paths: Iterable[Path], folder: Path,
 ) -> tuple[list[CalibrationResult], tuple[Finding, ...]]:
-    """Return the result of each pair whose recording ended last, and what was not used.
+    """Return the latest result of each pair, and findings about results that are not used.
 
-    Of recordings that ended together, or that do not say when, that of the highest number in the
-    name counts. Raises ConfigError where no file, which are all below ``folder``, holds a result.
+    The latest one is of the recording that ended last; without times, or if equal, the file with
+    the highest number in its name. Raises ConfigError if no file in ``folder`` has a result.
     """
     found: dict[frozenset[str], list[tuple[Path, CalibrationResult]]] = {}
     failures = []
@@ -38,7 +38,7 @@ def read_results(
             f'{folder} is no folder; needed one with results' if not folder.is_dir() else
             f'{folder} holds no results: {failures[0]}' if failures else
             f'{folder} holds no .yaml; needed results that calibrate or a node saved')
-    # Of equal ends the last one, as the names have it.
+    # Among equal ends max() takes the first, here the last file.
     used = {pair: max(reversed(items), key=lambda item: _end_ns(item[1]))
             for pair, items in found.items()}
     findings = [
@@ -55,7 +55,7 @@ def read_results(
 
 
 def _end_ns(result: CalibrationResult) -> float:
-    """Return when the data of a result end; before all others where it does not say."""
+    """Return the time at which the data of a result end, -inf if unknown."""
     if result.start_ns is None:
         return float('-inf')
     return result.start_ns + round(1e9 * (result.duration_s or 0.0))

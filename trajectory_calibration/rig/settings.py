@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a rig before it drives, and how it is calibrated."""
+"""Settings of a rig and of its sensors."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ PAIRS = ('auto', 'all', 'base')
 
 @dataclass(frozen=True)
 class SensorSettings:
-    """What is known of one sensor.
+    """Settings of one sensor.
 
     Attributes
     ----------
-    scale : 'metric', or 'free' for a monocular camera, whose unit of length is found.
-    frame : name of the sensor's frame in what is exported; empty: that of the trajectory.
+    scale : 'metric', or 'free' for a monocular camera, whose scale is estimated.
+    frame : name of the sensor's frame in exports; empty: that of the trajectory.
     prior_translation, prior_translation_std, prior_rotation, prior_rotation_std : the pose in the
-        base, as the settings of the same names of ``CalibrationConfig``; deviations of 0 fix it.
+        base, as the settings of the same names of ``CalibrationConfig``; standard deviations of 0
+        fix it.
 
     """
 
@@ -43,13 +44,13 @@ class SensorSettings:
 
     @property
     def prior(self) -> Prior:
-        """Return what is known of the pose in the base."""
+        """Return the prior of the pose in the base."""
         return parse_prior(self.prior_translation, self.prior_translation_std,
                            self.prior_rotation, self.prior_rotation_std)
 
     @property
     def given(self) -> dict[str, Any]:
-        """Return what is known of the pose as settings of ``CalibrationConfig``."""
+        """Return the prior as settings of ``CalibrationConfig``."""
         return {name: value for name, value in asdict(self).items()
                 if name.startswith('prior_') and value}
 
@@ -66,17 +67,17 @@ class SensorSettings:
 
 @dataclass(frozen=True)
 class RigConfig:
-    """How a rig is calibrated.
+    """Settings of a rig.
 
     Attributes
     ----------
     base : name of the sensor whose frame is the rig's; empty: the first.
     sensors : by name; those that are not listed have the defaults.
-    pairs : which pairs are calibrated: 'all', those with the 'base', or (auto) all of up to four
-        sensors, and of more those with the base and with the two surest others.
+    pairs : which pairs are calibrated: 'all'; 'base': those with the base; 'auto': all of up to
+        four sensors, with more those with the base and with the two most certain others.
     leave_out_contradicting : whether a sensor that contradicts the others is left out of the
-        answer; otherwise it is answered, and has no influence on the others.
-    processes : of this machine that calibrate pairs; 0: one for each core, where it pays.
+        result; otherwise it is in the result without influence on the others.
+    processes : that calibrate pairs; 0: one per core if that saves time.
     calibration : settings of every pair.
 
     """
@@ -95,9 +96,9 @@ class RigConfig:
                               'prior_translation and the others below the sensor')
 
     def scale_of(self, child: str) -> dict[str, Any]:
-        """Return what the scale of a sensor changes in ``calibration`` where it is the child.
+        """Return the settings of ``calibration`` for the scale of a sensor as child.
 
-        Raises ConfigError for a scale that is free and a solver that does not find it.
+        Raises ConfigError for a free scale with a solver that does not estimate it.
         """
         if self.of(child).scale != 'free':
             return {}
@@ -146,12 +147,12 @@ class RigConfig:
 
 
 def known_of(kind: type[SensorSettings | RigConfig], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return those of the values that are settings of a kind."""
+    """Return the values that are fields of a settings class."""
     return {item.name: values[item.name] for item in fields(kind) if item.name in values}
 
 
 def require_known(values: Iterable[str], known: Sequence[str], where: str) -> None:
-    """Raise ConfigError for a key that nobody knows."""
+    """Raise ConfigError for an unknown key."""
     for key in values:
         if key not in known:
             raise ConfigError(unknown_name('key', key, known, where))
@@ -164,7 +165,7 @@ def _lines(value: Any, name: str) -> Mapping[str, Any]:
 
 
 def _check(config: SensorSettings | RigConfig) -> None:
-    """Raise ConfigError for a value of the wrong type, and make a number for a text its text."""
+    """Raise ConfigError for a value of the wrong type; convert numbers of text fields to text."""
     for item in fields(config):
         if item.default is not MISSING:
             option = Option(item.name, item.default, '', minimum=0,

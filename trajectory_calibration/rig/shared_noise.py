@@ -1,19 +1,19 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""How much the answers of pairs err together.
+"""Correlation of the errors of pairs that share a sensor.
 
-The noise of sensor 2 is in the pairs 1-2 and 2-3. Each pair is taken as the estimating equation
+The noise of sensor 2 is in the pairs 1-2 and 2-3. Each pair is modelled by the estimating equation
 ``sum J^T K_ij (d_j - d_i) = 0`` over the common windows (``windows.py``), weighted with the noise
-of its own two sensors, ``K_ij = (N_i + N_j)^-1``. Its answer then errs by ``H_ij^-1`` times that
-sum, and the errors of two pairs have the covariance
+of its two sensors, ``K_ij = (N_i + N_j)^-1``. Its error is ``H_ij^-1`` times that sum, and the
+errors of two pairs have the covariance
 
-``M_ij,kl = H_ij^-1 [ sum J^T K_ij (+-N of the sensors that both hold) K_kl J ] H_kl^-1``
+``M_ij,kl = H_ij^-1 [ sum J^T K_ij (+-N of the common sensors) K_kl J ] H_kl^-1``
 
-over the windows that both pairs see. What a pair's own solver states of its answer is kept: M
-gives the correlations only.
+over the windows of both pairs. Only the correlations of M are used: the covariance of each pair
+is the one of its solver.
 
-A part of each pair's error may be its own, from interpolation or another choice of jumps:
-``(1 - own) C + own diag(P)``; ``own = 1`` calls the pairs independent.
+Part of the error of each pair may be independent, from interpolation or other detected jumps:
+``(1 - own) C + own diag(P)``; for ``own = 1`` the pairs are independent.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.rig.windows import WindowLevel
 
-# Standard deviations of what no motion tells, metres and radians.
-_UNTOLD = np.repeat([30.0, 1.0], 3)
+# Prior standard deviations of an extrinsic, metres and radians, for unobservable directions.
+_PRIOR_STD = np.repeat([30.0, 1.0], 3)
 
-# No sensor is known better than this, metres and radians: exact data are, but for rounding.
+# Smallest standard deviations of a sensor, metres and radians: rounding.
 ROUNDING = np.repeat([1e-6, 1e-7], 3)
 
-# Smallest variance relative to the largest, where a stated covariance is singular.
+# Smallest variance of a singular covariance, relative to the largest.
 _SINGULAR = 1e-14
 
 _ALL = np.arange(6)
@@ -43,14 +43,14 @@ def joint_covariance(
 ) -> FloatArray:
     """Return M, the (P, 6, P, 6) covariance of the answers of pairs, twists about the base.
 
-    ``noise`` (T, S, 6, 6) are the covariances of the differences of each sensor at each of the
-    (T,) ``levels``; ``pairs`` (P,) two sensors each.
+    ``noise`` (T, S, 6, 6) are covariances of the differences by level and sensor; ``pairs`` (P,)
+    are the indices of parent and child.
     """
     role = _roles(noise.shape[1], pairs)
-    together = role.T @ role
-    # What nothing tells is zero give or take, and that too belongs to the sensors.
-    bread = np.broadcast_to(np.diag(0.5 / _UNTOLD**2), (len(pairs), 6, 6)).copy()
-    meat = np.einsum('pq,ab->paqb', together, np.diag(0.25 / _UNTOLD**2))
+    shared = role.T @ role
+    # The prior of the extrinsics is shared between pairs, too.
+    bread = np.broadcast_to(np.diag(0.5 / _PRIOR_STD**2), (len(pairs), 6, 6)).copy()
+    meat = np.einsum('pq,ab->paqb', shared, np.diag(0.25 / _PRIOR_STD**2))
     for level, N in zip(levels, noise, strict=True):
         K = np.linalg.inv(np.tensordot(np.abs(role), N, (0, 0)))
         seen = level.known[np.array(pairs)].all(axis=1)
@@ -62,12 +62,12 @@ def joint_covariance(
             meat[np.ix_(mine, _ALL, mine, _ALL)] += np.tensordot(score, score, ((1, 2), (1, 2)))
     inverse = np.linalg.inv(bread)
     M = np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
-    M += np.einsum('pq,ab->paqb', together, np.diag(ROUNDING**2))
+    M += np.einsum('pq,ab->paqb', shared, np.diag(ROUNDING**2))
     return M
 
 
 def _roles(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
-    """Return (S, P): +1 where a sensor is the child of a pair, -1 where it is the parent."""
+    """Return (S, P): +1 if a sensor is the child of a pair, -1 for the parent, otherwise 0."""
     i, j = np.array(pairs, dtype=np.intp).T
     return np.eye(sensors)[:, j] - np.eye(sensors)[:, i]
 
@@ -75,10 +75,10 @@ def _roles(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
 def carried_to_stated(
     M: FloatArray, stated: FloatArray, X: FloatArray, pairs: Sequence[tuple[int, int]],
 ) -> FloatArray:
-    """Return the (P, 6, P, 6) covariance of answers with the (P, 6, 6) stated as its blocks.
+    """Return the (P, 6, P, 6) covariance of the answers with the diagonal blocks ``stated``.
 
-    ``M`` (P, 6, P, 6) says how twists about the base err together, each in the deviations of its
-    own block; ``X`` (S, 4, 4) are the sensors in the base.
+    ``stated`` (P, 6, 6) are the covariances of the pairs; ``M`` (P, 6, P, 6), of twists about the
+    base, gives the correlations; ``X`` (S, 4, 4) are the sensors in the base.
     """
     L = np.stack([twist_to_step(X[i], X[j]) for i, j in pairs])
     inverse = np.linalg.inv(L)
@@ -92,7 +92,7 @@ def carried_to_stated(
 
 
 def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
-    """Return (6, 6): the step of the pose of j in i (its covariance's order) by a base twist."""
+    """Return the (6, 6) Jacobian of a step of T_i_j, in covariance order, by a base twist."""
     T_i_j = se3.inverse(X_i) @ X_j
     result = se3.adjoint(se3.inverse(X_i))
     result[:3] -= se3.skew(T_i_j[:3, 3]) @ result[3:]
@@ -100,14 +100,14 @@ def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
 
 
 def half_shared(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
-    """Return the (P, P) correlations where nothing tells whose errors they are: half of each."""
+    """Return (P, P) correlations if each sensor causes half of the variance of its pairs."""
     role = _roles(sensors, pairs)
     shared: FloatArray = 0.5 * role.T @ role
     return shared
 
 
 def with_own_share(C: FloatArray, own: float) -> FloatArray:
-    """Return the (n, n) covariance of all (P, d, P, d) answers with a share of each its own."""
+    """Return (P d, P d) from (P, d, P, d) covariances; a share ``own`` is independent."""
     V = (1.0 - own) * C
     for p in range(len(C)):
         V[p, :, p] = C[p, :, p]
@@ -115,9 +115,9 @@ def with_own_share(C: FloatArray, own: float) -> FloatArray:
 
 
 def root_of(P: FloatArray) -> FloatArray:
-    """Return a (d, d) root of a covariance: the symmetric one of its correlations, scaled.
+    """Return a (d, d) root of a covariance: the symmetric root of its correlations, scaled.
 
-    No variance is zero in it, so that it has an inverse.
+    Zero variances are replaced by tiny ones, so that it has an inverse.
     """
     scale = np.sqrt(np.maximum(np.diagonal(P), 1e-24))
     values, vectors = np.linalg.eigh(P / np.outer(scale, scale))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One connected tree of sensors: from the answers of its pairs to consistent poses."""
+"""A tree of sensors that pairs connect: from their answers to consistent poses."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ from trajectory_calibration.rig.windows import (
     WindowLevel,
 )
 
-# Fewer lengths of windows than this tell no noise.
+# Fewest lengths of windows, to estimate the noise.
 _FEWEST_LEVELS = 3
 
-# Standard deviation, seconds, of a clock offset where a result states none.
+# Standard deviation, seconds, of a clock offset if the result has none.
 _CLOCK_STD_S = 1e-3
 
-# A log scale that is rounding of the one that was not looked for.
+# Log scales below this are rounding of a scale of one.
 _ROUNDING = 1e-5
 
 
@@ -58,15 +58,16 @@ class Tree:
     Attributes
     ----------
     names : (S,).
-    ends : (P,), numbers of parent and child of each pair.
+    ends : (P,), indices of parent and child of each pair.
     clocks : (S,).
     scales, scale_stds : (S,), metres of the base per metre of the sensor.
     answers : (P, 4, 4), in metres of the base.
     C : (P, 6, P, 6), joint covariance of the answers.
-    start : (S, 4, 4), sensors in the base, roughly.
-    limits : (6,), deviations from which a direction is unobserved.
-    sensor_noise : (S,), None where too few windows tell.
-    levels, noise, grid : what the common windows say; without trajectories nothing.
+    start : (S, 4, 4), approximate poses of the sensors in the base.
+    limits : (6,), standard deviations from which a direction is unobserved.
+    sensor_noise : (S,), None with too few windows.
+    levels, noise, grid : common windows, their (T, S, 6, 6) noise, tracks; without trajectories
+        empty or None.
 
     """
 
@@ -85,7 +86,10 @@ class Tree:
     grid: Grid | None
 
     def unobserved_twists(self) -> list[FloatArray]:
-        """Return (S,) the (6, K) twists about the base that not even the best pair observes."""
+        """Return by sensor the (6, K) twists about the base that its best pair leaves unobserved.
+
+        ``K`` differs between the sensors.
+        """
         unobserved = [np.eye(6)] * len(self.names)
         for p, (i, j) in enumerate(self.ends):
             to_base = np.linalg.inv(twist_to_step(self.start[i], self.start[j]))
@@ -97,9 +101,9 @@ class Tree:
     def fuse(
         self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
     ) -> Fused:
-        """Return consistent poses, in which the ``doubted`` sensors have no say about others."""
-        trust = np.array([not doubted & {*pair} for pair in self.ends], dtype=np.bool_)
-        return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trust,
+        """Return consistent poses; pairs of ``doubted`` sensors do not influence the others."""
+        trusted = np.array([not doubted & {*pair} for pair in self.ends], dtype=np.bool_)
+        return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trusted,
                     limits=self.limits)
 
 
@@ -111,7 +115,7 @@ def build_tree(
 ) -> Tree:
     """Return the tree of sensors ``names`` (the base first), which ``pairs`` connect.
 
-    ``trajectories`` may be empty: then half of what a pair errs is of each of its sensors.
+    Without ``trajectories`` each sensor is assumed to cause half of the variance of its pairs.
     """
     ends = tuple((names.index(pair.parent), names.index(pair.child)) for pair in pairs)
     results = [pair.result for pair in pairs]
@@ -124,13 +128,13 @@ def build_tree(
         np.maximum([log_scale_std_of(result) for result in results], 0.1 * _ROUNDING))
     unit = (np.abs(logs) < _ROUNDING) & (stds < _ROUNDING)
     scales, stds = np.where(unit, 1.0, np.exp(logs)), np.where(unit, 0.0, np.exp(logs) * stds)
-    # Those of the pairs are in metres of their parents.
+    # Answers of pairs are in metres of their parents.
     of_parents = scales[[i for i, _ in ends]]
     answers[:, :3, 3] *= of_parents[:, None]
     stated[:, :3] *= of_parents[:, None, None]
     stated[:, :, :3] *= of_parents[:, None, None]
     limits = limits_of(settings)
-    start = _agree_in_what_is_unobserved(answers, stated, ends, sensors, limits)
+    start = _align_unobserved(answers, stated, ends, sensors, limits)
     levels: list[WindowLevel] = []
     grid = None
     if trajectories:
@@ -153,43 +157,46 @@ def build_tree(
 
 
 def clock_of(result: CalibrationResult) -> Clock:
-    """Return the clock of b against a; its deviation is 0 where the result tells none."""
+    """Return the clock of b against a; its standard deviation is 0 if the result has none."""
     std = (result.diagnosis or {}).get('time_offset_deviation_s')
     return Clock(result.time_offset_s, result.clock_drift, result.clock_drift_from_ns,
                  float(std or 0.0))
 
 
 def log_scale_std_of(result: CalibrationResult) -> float:
-    """Return the deviation of the logarithm of a result's scale; 0 where none is told."""
+    """Return the standard deviation of the log scale of a result; 0 if it has none."""
     diagnosis = result.diagnosis or {}
     return float(diagnosis.get('scale_deviation') or 0.0) / float(diagnosis.get('scale') or 1.0)
 
 
-def _agree_in_what_is_unobserved(
+def _align_unobserved(
     answers: FloatArray, stated: FloatArray, ends: Sequence[tuple[int, int]], sensors: int,
     limits: FloatArray,
 ) -> FloatArray:
-    """Draw answers near each other, in place, where unobserved; return (S, 4, 4) sensors."""
+    """Move answers along unobserved directions, in place, so that they agree.
+
+    Returns the (S, 4, 4) poses of the sensors in the base.
+    """
     for p, T in enumerate(answers):
-        turned = se3.from_rotation_translation(T[:3, :3], np.zeros(3))
-        answers[p], stated[p] = drawn_near(T, stated[p], turned, limits)
+        rotation = se3.from_rotation_translation(T[:3, :3], np.zeros(3))
+        answers[p], stated[p] = drawn_near(T, stated[p], rotation, limits)
     start = spanning_start(sensors, ends, answers, stated)
     for p, (i, j) in enumerate(ends):
-        between = se3.inverse(start[i]) @ start[j]
-        answers[p], stated[p] = drawn_near(answers[p], stated[p], between, limits)
+        T_i_j = se3.inverse(start[i]) @ start[j]
+        answers[p], stated[p] = drawn_near(answers[p], stated[p], T_i_j, limits)
     return start
 
 
 def _clocks(
     sensors: int, ends: Sequence[tuple[int, int]], results: Sequence[CalibrationResult],
 ) -> tuple[Clock, ...]:
-    """Return the clock of each sensor against the base, consistent round every loop."""
+    """Return the clock of each sensor against the base, consistent over all loops."""
     epoch_ns = next((result.clock_drift_from_ns for result in results if result.clock_drift), 0)
-    told = [clock_of(result) for result in results]
-    stds = np.array([clock.offset_std_s or _CLOCK_STD_S for clock in told])
-    offsets, stds_of = fuse_numbers(
-        sensors, ends, np.array([clock.at(epoch_ns) for clock in told]), stds)
-    drifts, _ = fuse_numbers(sensors, ends, np.array([clock.drift for clock in told]), stds)
+    of_pairs = [clock_of(result) for result in results]
+    stds = np.array([clock.offset_std_s or _CLOCK_STD_S for clock in of_pairs])
+    offsets, offset_stds = fuse_numbers(
+        sensors, ends, np.array([clock.at(epoch_ns) for clock in of_pairs]), stds)
+    drifts, _ = fuse_numbers(sensors, ends, np.array([clock.drift for clock in of_pairs]), stds)
     return tuple(
         Clock(float(offset), float(drift), epoch_ns, float(std))
-        for offset, drift, std in zip(offsets, drifts, stds_of, strict=True))
+        for offset, drift, std in zip(offsets, drifts, offset_stds, strict=True))
