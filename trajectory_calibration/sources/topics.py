@@ -276,7 +276,7 @@ def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
         return []
     start, end = paths[-1].stamps_ns.min(), paths[-1].stamps_ns.max()
     separate = [path for path in paths[:-1]
-             if path.stamps_ns.max() < start or path.stamps_ns.min() > end]
+                if path.stamps_ns.max() < start or path.stamps_ns.min() > end]
     if not separate:
         return []
     dropped = counted(len(separate), 'earlier path')

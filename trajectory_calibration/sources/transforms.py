@@ -277,7 +277,7 @@ def parse_tf(name: str, frames: Iterable[str] = ()) -> tuple[str, str]:
     """
     words = name.removeprefix('/').removeprefix(TF_PREFIX).split('.')
     splits = [('.'.join(words[:k]).lstrip('/'), '.'.join(words[k:]).lstrip('/'))
-            for k in range(1, len(words))]
+              for k in range(1, len(words))]
     splits = [split for split in splits if all(split)]
     if len(splits) > 1:
         splits = [split for split in splits if {*split} <= {*frames}] or splits
