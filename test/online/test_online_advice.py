@@ -99,10 +99,10 @@ def test_a_low_rate_is_not_thinned():
 
 @pytest.mark.parametrize('settings, sentence', [
     ({}, ('drive a ramp or a bank, or give prior_translation along z of lidar: translation along '
-          'z of lidar is unobserved, needed 0.02 m')),
+          'z of lidar is unobservable, needed 0.02 m')),
     (HEIGHT, 'enough motion: call ~/calibrate'),
     ({'allow_unobserved': True},
-     'enough motion: call ~/calibrate; translation along z of lidar stays unobserved'),
+     'enough motion: call ~/calibrate; translation along z of lidar remains unobservable'),
 ])
 def test_on_flat_ground_it_says_what_is_missing_and_what_helps(settings, sentence):
     advice = advised(drive(240, axes=(2,)), **settings)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A chain of transforms gives the answer of the Odometry; what a replay leaves unobserved."""
+"""A chain of transforms gives the answer of the Odometry; what a replay leaves unobservable."""
 
 import json
 
@@ -86,6 +86,6 @@ def test_a_replay_prints_an_answer_with_an_open_direction_and_ends_with_its_stat
     assert shown.err == ''
     assert shown.out.startswith('base_link -> camera: translation [')
     assert ', unknown] m, rotation xyzw [' in shown.out
-    assert '\n - unobserved: z\n' in shown.out
+    assert '\n - unobservable: z\n' in shown.out
     assert main([*words, '--format', 'json']) == 3
     assert json.loads(capsys.readouterr().out)['T_a_b']['status']['z'] == 'unobserved'

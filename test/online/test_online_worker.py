@@ -92,7 +92,7 @@ def test_an_open_direction_is_an_answer_that_the_node_keeps_back(allowed):
     if allowed:
         assert answer.refusal == ''
         return
-    assert answer.refusal.startswith('not published: z of camera in lidar unobserved. ')
+    assert answer.refusal.startswith('not published: z of camera in lidar unobservable. ')
     assert 'prior_translation:=-,-,Z prior_translation_std:=0.01' in answer.refusal
     assert answer.refusal.endswith('; lidar: 2 poses refused (2 no stamp)')
 

@@ -109,7 +109,7 @@ def test_what_flat_ground_leaves_open_is_not_published_unless_allowed(tmp_path):
         assert client.set_parameter('allow_unobserved', value=True).successful
         allowed = client.call('calibrate')
         assert allowed.success, allowed.message
-        assert '\n - unobserved: z\n - ' in allowed.message
+        assert '\n - unobservable: z\n - ' in allowed.message
         assert '\n - serious: ' in allowed.message
         client.wait(lambda: extrinsic, 'the extrinsic')
     found = ros.matrix(extrinsic[0])
@@ -517,7 +517,7 @@ def test_a_prior_is_set_and_taken_out_one_parameter_at_a_time(tmp_path):
     assert [result.successful for result in results] == [
         False, True, True, True, False, True, True]
     assert 'set prior_translation_std first' in results[0].reason
-    # Flat ground leaves the height unobserved where nobody gives it.
+    # Flat ground leaves the height unobservable.
     assert [answer.success for answer in answers] == [
         False, False, True, True, True, False, False]
 

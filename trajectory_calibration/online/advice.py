@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What ``~/calibrate`` would answer now, and what the driver should do about it.
+"""Advice for the driver: the present result of a calibration, and the motion that is missing.
 
-The advice is the calibration itself, on the poses held so far, thinned where they are very many,
-in the solver process: what it predicts is what the call will say.
+The advice is a real calibration in the solver process, with the buffered poses (thinned if they
+are very many). So it predicts the answer of ``~/calibrate``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from trajectory_calibration.online.snapshot import Snapshot
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
 
-# Seconds of motion of both sensors below which no calibration is tried.
+# Least motion of both sensors for a calibration, seconds.
 FEWEST_S = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """What a calibration of the poses held so far says, or why it failed."""
+    """The result of a calibration with the buffered poses, or why it failed."""
 
     result: CalibrationResult | None = None
     failure: str = ''
-    # (3,) unit vector in a: the direction of the translation that may stay unobserved.
+    # (3,) unit vector in a: the direction of the translation that is allowed to be unobservable.
     missing: FloatArray | None = None
 
     @property
@@ -39,7 +39,7 @@ class Advice:
         return None if std is None else np.concatenate([std[:3], np.rad2deg(std[3:])])
 
     def sufficient(self, translation_limit: float, rotation_limit_deg: float) -> bool:
-        """Return whether what is asked for is within the limits, metres and degrees."""
+        """Return whether all required standard deviations are within the limits, m and deg."""
         ratios = self._ratios(translation_limit, rotation_limit_deg)
         return ratios is not None and bool((ratios <= 1.0).all())
 
@@ -52,21 +52,21 @@ class Advice:
         if (ratios <= 1.0).all():
             left_out = ('' if self.missing is None else
                         f'; translation along {axis_name(self.missing)} of {result.frame_a} '
-                        'stays unobserved')
+                        'remains unobservable')
             return f'enough motion: call ~/calibrate{left_out}'
         worst = int(np.argmax(ratios))
         name = DEGREES_OF_FREEDOM[worst]
         direction = f'{"translation along" if worst < 3 else "rotation about"} {name[-1]}'
         limit, unit = (translation_limit, 'm') if worst < 3 else (rotation_limit_deg, 'deg')
-        # Beyond a hundred times its limit it is no number worth naming.
+        # Beyond a hundred times its limit the number is meaningless.
         unobserved = name in result.observability.unobserved or ratios[worst] > 100
-        known = ('is unobserved' if unobserved else
+        known = ('is unobservable' if unobserved else
                  f'has a standard deviation of {std[worst]:.2g} {unit}')
         return (f'{_manoeuvre(worst, result)}: {direction} of {result.frame_a} {known}, '
                 f'needed {limit:g} {unit}')
 
     def _ratios(self, translation_limit: float, rotation_limit_deg: float) -> FloatArray | None:
-        """Return (6,) standard deviations over their limits, of what is asked for."""
+        """Return (6,) standard deviations over their limits, without ``missing``; or None."""
         std = self.std
         if std is None or self.result is None or self.result.covariance is None:
             return None
@@ -80,7 +80,7 @@ class Advice:
 
 @dataclass(frozen=True, eq=False)
 class AdviceJob:
-    """A calibration for advice, copied at the moment it was asked for."""
+    """A calibration for advice, with copies of the poses."""
 
     track_a: Snapshot
     track_b: Snapshot
@@ -88,18 +88,18 @@ class AdviceJob:
 
     def run(self) -> Advice:
         """Calibrate; raises CalibrationError as ``calibrate``."""
-        # A reference by number counts poses: thinned, it would be another one.
+        # A reference such as C10 counts poses, so thinning would change it.
         a, b = (track.thinned() if self.config.reference == 'auto' else track
                 for track in (self.track_a, self.track_b))
         result = calibrate(a.trajectory(), b.trajectory(),
                            replace(self.config, allow_unobserved=True))
         if result.covariance is None:
             return Advice(failure='the solver gives no standard deviations')
-        # Only for the node's diagnostics: a mask of each motion is not worth sending.
-        return Advice(replace(result, inliers=None), missing=_missing(result, self.config))
+        # The diagnostics do not need the mask of inliers, which is large.
+        return Advice(replace(result, inliers=None), missing=_allowed_direction(result, self.config))
 
 
-def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray | None:
+def _allowed_direction(result: CalibrationResult, config: CalibrationConfig) -> FloatArray | None:
     if not config.allow_unobserved or result.covariance is None:
         return None
     variances, axes = np.linalg.eigh(result.covariance[:3, :3])
@@ -108,7 +108,7 @@ def _missing(result: CalibrationResult, config: CalibrationConfig) -> FloatArray
 
 
 def _manoeuvre(worst: int, result: CalibrationResult) -> str:
-    """Return what to drive, or to give, for the worst component."""
+    """Return the manoeuvre, or the prior, for the component with the largest ratio."""
     observed = result.observability
     if observed.hardly_turned:
         return 'drive curves, and a ramp or a bank'

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of ``~/calibrate`` in words, and in one line of JSON."""
+"""The answer of ``~/calibrate``: text, and one line of JSON."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from trajectory_calibration.online.options import in_node_words
 from trajectory_calibration.outputs.screen import deviation_words, transform_words
 from trajectory_calibration.result import CalibrationResult
 
-# Begins every line but the first. ``ros2 service call`` prints a line break as the two
-# characters \n; the dash keeps the lines apart there, too.
+# Before each line except the first. ``ros2 service call`` prints a line break as the two
+# characters \n; there the dash separates the lines.
 _NEXT_LINE = '\n - '
 
 
 def headline(result: CalibrationResult) -> str:
-    """Return the extrinsic in one line; of what is unobserved 'unknown'."""
+    """Return the extrinsic in one line; 'unknown' for unobservable components."""
     words = transform_words(result, 4, 5)
     return (f'{result.frame_a} -> {result.frame_b}: translation [{", ".join(words[:3])}] m, '
             f'rotation xyzw [{", ".join(words[3:])}]')
 
 
 def deviations(result: CalibrationResult) -> str:
-    """Return the standard deviations in one line, '' where the solver gave none."""
+    """Return the standard deviations in one line, '' if the solver gave none."""
     if result.covariance is None:
         return ''
     words = deviation_words(result.covariance)
@@ -33,15 +33,15 @@ def deviations(result: CalibrationResult) -> str:
 
 
 def describe(result: CalibrationResult, *notes: str) -> str:
-    """Return the extrinsic and how good it is, one thing a line, the last line JSON.
+    """Return the extrinsic, its accuracy, the findings, and a last line of JSON.
 
-    The notes say what became of it: its file, TF; '' is left out.
+    ``notes`` are additional lines, on the saved file and TF; empty ones are left out.
     """
     lines = [headline(result)]
     if result.covariance is not None:
         lines.append(f'standard deviations: {deviations(result)}')
     if result.observability.unobserved:
-        lines.append(f'unobserved: {", ".join(result.observability.unobserved)}')
+        lines.append(f'unobservable: {", ".join(result.observability.unobserved)}')
     if result.scale != 1.0:
         lines.append(f'scale: {result.scale:.5f}, multiplies the positions of {result.frame_b}')
     if result.time_offset_s or result.clock_drift:
@@ -58,7 +58,7 @@ def describe(result: CalibrationResult, *notes: str) -> str:
 
 
 def summary(result: CalibrationResult) -> str:
-    """Return what a program needs in one line of JSON; ``~/result`` has everything."""
+    """Return the main results in one line of JSON; ``~/result`` has everything."""
     data = result.to_dict()
     pose = data['T_a_b']
     return json.dumps({

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the node computes unasked, beside the calls: advice, and whether its answer still holds.
+"""Background work of the node: advice, and checks of the published extrinsic.
 
-One process at a time, at the lowest priority, within a budget of CPU time: while driving there
-is other work to do. A call of ``~/calibrate`` goes first and stops it.
+One process at a time, at low priority, within a budget of CPU time. A call of ``~/calibrate``
+stops it.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from trajectory_calibration.online.session import CalibrationSession
 from trajectory_calibration.online.verification import Monitor, MonitorJob, MonitorVerdict
 from trajectory_calibration.online.worker import SolverProcess, StoppedError
 
-# CPU seconds that may be spent at once where less was used before: a drive begins with many short
+# Largest unused CPU time, seconds, that can be saved up: a drive begins with many short
 # calibrations.
 CPU_CREDIT_S = 10.0
 
 
 class Budget:
-    """CPU time that comes in steadily and is spent in portions."""
+    """Token bucket of CPU time."""
 
     def __init__(self, now_s: float) -> None:
         self._credit_s, self._at_s = CPU_CREDIT_S, now_s
 
     def allows(self, now_s: float) -> bool:
-        """Return whether something may be spent now."""
-        # Of one core, in the long run.
+        """Return whether CPU time is available."""
+        # The long-term average is 3 % of one core.
         earned = 0.03 * (now_s - self._at_s)
         self._credit_s, self._at_s = min(self._credit_s + earned, CPU_CREDIT_S), now_s
         return self._credit_s > 0.0
 
     def spend(self, cpu_s: float) -> None:
-        """Take what was used; the credit may become negative."""
+        """Subtract used CPU time; the credit may become negative."""
         self._credit_s -= cpu_s
 
 
 class Background:
-    """Runs advice of one session and the checks of a monitor, and holds what they said last.
+    """Runs the advice of one session and the checks of a monitor, and stores their last results.
 
-    ``done`` is called from another thread when ``take`` has something to take.
+    ``done`` is called from another thread when an outcome is ready for ``take``.
     """
 
     def __init__(self, session: CalibrationSession, done: Callable[[], None], now_s: float,
@@ -64,10 +64,10 @@ class Background:
 
     def poll(self, motion: Motion, config: CalibrationConfig, frames: tuple[str, str],
              timeout_s: float, now_s: float) -> None:
-        """Start what is due; once a second or so."""
+        """Start the next job if one is due; call it about once a second."""
         settings = config, frames
         if not motion.continues(self._advised):
-            # What was advised before is about other poses.
+            # The last advice is about other poses.
             self.advice, self._advised = None, NO_MOTION
         if (self._process.busy or not self._budget.allows(now_s)
                 or now_s - self._ended_s < 2):
@@ -86,18 +86,18 @@ class Background:
             self._process.start(job, timeout_s)
 
     def take(self, now_s: float) -> Advice | MonitorVerdict | None:
-        """Take what the process found; None where it was stopped."""
+        """Store and return the outcome of the process, None if it was stopped or is idle."""
         if not self._process.busy:
             return None
         outcome = self._process.take_outcome()
         self._budget.spend(self._process.cpu_s)
         self._ended_s = now_s
         if isinstance(outcome, StoppedError):
-            # So that the next poll asks again.
+            # The next poll then starts it again.
             self._settings = ()
             return None
         if isinstance(outcome, CalibrationError):
-            # What fails is advice, too; data that give no answer tell nothing of the extrinsic.
+            # A failure is advice, too. A failed check is no evidence about the extrinsic.
             outcome = (
                 MonitorVerdict(CANNOT_TELL, 3, f'cannot tell: {outcome}') if self._monitoring
                 else Advice(failure=in_node_words(str(outcome))))
@@ -108,15 +108,15 @@ class Background:
         return outcome
 
     def stop(self, reason: str) -> None:
-        """Stop what runs; its outcome is none."""
+        """Stop the running job; it gives no outcome."""
         if self._process.busy:
             self._process.cancel(reason)
 
     def reset(self) -> None:
-        """Forget what was advised, and stop what runs."""
+        """Stop the running job and drop the advice."""
         self.stop('stopped by a reset')
         self.advice, self._advised, self._settings = None, NO_MOTION, ()
 
     def shutdown(self) -> None:
-        """Stop whatever runs and wait for its end."""
+        """Stop the running job and wait for its end."""
         self._process.shutdown()

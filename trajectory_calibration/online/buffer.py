@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The poses of one sensor as they arrive: bounded, checked, ready to be calibrated from.
+"""Bounded buffer of the checked live poses of one sensor.
 
-Nothing here imports ROS, so that a replay of a bag runs through the same code as the node.
+Nothing here imports ROS, so a replay of a bag uses the same code as the node.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.online.snapshot import Snapshot
 
-# A stamp this far behind the newest came late; further behind, or this far ahead, either it is
-# wrong or the clock jumped. The poses that follow decide which.
+# Up to this far behind the newest stamp, a pose is out of order. Further behind, or this far
+# ahead, the stamp is wrong or the clock jumped; the following poses decide which.
 JUMP_NS = 5_000_000_000
-# So many poses in a row must agree before a jump of the clock, or other frames, are believed.
+# Number of consecutive poses that confirm a clock jump or a change of frames.
 CONFIRMATIONS = 3
 
-# Names of the world frame and of the sensor frame; empty where a message has none.
+# World frame and sensor frame, '' if a message has none.
 Frames = tuple[str, str]
 
 _NO_FRAMES = ('', '')
@@ -41,7 +41,7 @@ PoseTuple = tuple[float, ...]
 
 
 class Refusal(str, Enum):
-    """Why a pose did not enter the buffer; the words of the diagnostics."""
+    """Why a pose was refused, in the words of the diagnostics."""
 
     NO_STAMP = 'no stamp'
     NOT_FINITE = 'not finite'
@@ -55,15 +55,15 @@ class Refusal(str, Enum):
     EMPTY_PATH = 'path without a usable pose'
 
 
-# Of these the unit is the message, not the pose.
+# These count messages, not poses.
 OF_MESSAGES = (Refusal.UNREADABLE, Refusal.EMPTY_PATH)
-# As ``pose_faults`` tells them apart.
+# In the order of ``pose_faults``.
 _FAULTS = (Refusal.NOT_FINITE, Refusal.NOT_UNIT, Refusal.TOO_FAR)
 
 
 @dataclass(frozen=True)
 class BufferLimits:
-    """How much a buffer keeps; the options of these names say what each limit is."""
+    """Limits of a buffer; the options of these names have the explanations."""
 
     max_poses: int = 100_000
     max_age_s: float = 28_800.0
@@ -73,11 +73,11 @@ class BufferLimits:
 
 
 class PoseBuffer:
-    """The newest poses of one sensor, in order, in arrays that do not grow beyond a bound.
+    """The newest poses of one sensor, ordered by stamp, in arrays of bounded size.
 
-    A bad pose is counted and refused, never an error: a vehicle keeps driving. ``forgotten``
-    counts the poses held when the clock went back or other frames were believed; ``generation``
-    changes whenever poses were forgotten other than by age or number.
+    A bad pose is refused and counted, never an error. ``forgotten`` counts the poses dropped
+    because the clock went back or the frames changed; ``generation`` increases whenever poses are
+    dropped for a reason other than age or number.
     """
 
     def __init__(self, limits: BufferLimits) -> None:
@@ -91,9 +91,9 @@ class PoseBuffer:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all poses, frames and counts."""
+        """Drop all poses, frames and counts."""
         self._received_before = self.received
-        # Poses dropped because the sensor stood still.
+        # Poses dropped at standstill.
         self.still = 0
         self.clock_jumps = self.frame_changes = self.forgotten = 0
         self.frames_before = _NO_FRAMES
@@ -106,17 +106,17 @@ class PoseBuffer:
 
     @property
     def messages(self) -> int:
-        """Messages since the start or the last ``clear``."""
+        """Number of messages since the last ``clear``."""
         return self.received - self._received_before
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory held for poses."""
+        """Memory of the arrays, bytes."""
         return self._stamps.nbytes + self._poses.nbytes
 
     @property
     def span_ns(self) -> tuple[int, int] | None:
-        """Stamps of the oldest and the newest pose, or None where there is none."""
+        """Stamps of the oldest and the newest pose, None if the buffer is empty."""
         if not len(self):
             return None
         return int(self._stamps[self._start]), int(self._stamps[self._end - 1])
@@ -127,7 +127,7 @@ class PoseBuffer:
         return self._stamps[self._start:self._end]
 
     def append(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
-        """Take one pose as it arrives, or count why not."""
+        """Add a live pose, or count the reason for refusing it."""
         self.received += 1
         fault = fault_of(pose) if stamp_ns else Refusal.NO_STAMP
         if fault is not None:
@@ -140,7 +140,7 @@ class PoseBuffer:
                 self._consider_frames(stamp_ns, frames, pose)
                 return
             self._change_frames(frames)
-        self._strangers.clear()
+        self._other_poses.clear()
         step = stamp_ns - self._last_ns
         if 0 < step <= JUMP_NS or not len(self):
             self._drop_strays()
@@ -153,12 +153,12 @@ class PoseBuffer:
             self._consider_jump(stamp_ns, pose)
 
     def count_unreadable(self) -> None:
-        """Count a message of which nothing could be read."""
+        """Count a message that could not be parsed."""
         self.received += 1
         self.refused[Refusal.UNREADABLE] += 1
 
     def count_refused(self, counts: Iterable[int]) -> None:
-        """Count (3,) poses that were refused before, as ``pose_faults`` tells them apart."""
+        """Add (3,) counts of poses refused earlier, by the kinds of ``pose_faults``."""
         for why, count in zip(_FAULTS, map(int, counts), strict=True):
             self.received += count
             self.refused[why] += count
@@ -166,11 +166,11 @@ class PoseBuffer:
     def replace(
         self, stamps_ns: NDArray[np.int64], poses: FloatArray, frames: Frames,
     ) -> None:
-        """Hold the (N,) stamps and (N, 7) poses of a whole trajectory instead of what was held.
+        """Replace all poses by the (N,) stamps and (N, 7) poses of a whole trajectory.
 
-        For a SLAM that publishes its optimised path again and again. The counts of refused and
-        dropped poses are those of this trajectory; those of messages go on. A trajectory without
-        a usable pose is counted and replaces nothing.
+        For a SLAM that publishes its optimised path repeatedly. Counts of refused and dropped
+        poses restart, those of messages continue. A trajectory without a usable pose is counted
+        and replaces nothing.
         """
         self.received += 1
         self.refused = {why: self.refused[why] if why in OF_MESSAGES else 0 for why in Refusal}
@@ -192,9 +192,9 @@ class PoseBuffer:
         self._store_all(islice(row, len(first) - strays))
 
     def _strays(self, sorted_ns: NDArray[np.int64]) -> int:
-        """Return how many of the last of the sorted stamps are wrong.
+        """Return how many of the last sorted stamps are wrong, fewer than CONFIRMATIONS.
 
-        Fewer than CONFIRMATIONS are, if only without them so many poses are within the age.
+        Without the wrong ones, the last CONFIRMATIONS poses are within the maximum age.
         """
         for strays in range(CONFIRMATIONS):
             ends = sorted_ns[:len(sorted_ns) - strays][-CONFIRMATIONS:]
@@ -203,7 +203,7 @@ class PoseBuffer:
         return 0
 
     def snapshot(self, name: str, sensor_frame: str = '') -> Snapshot:
-        """Return a copy; the sensor is ``sensor_frame``, or as its messages say, or ``name``."""
+        """Return a copy; the sensor is ``sensor_frame``, else from the messages, else ``name``."""
         world, sensor = self.frames
         frame = sensor_frame or sensor or name
         held = slice(self._start, self._end)
@@ -214,7 +214,7 @@ class PoseBuffer:
             tuple(f'{frame}: {note}' for note in (self.refusals(), slashes) if note))
 
     def refusals(self) -> str:
-        """Return the counts of refused poses and messages in words, or '' where none was."""
+        """Return the counts of refused poses and messages in words, '' for none."""
         sentences = []
         for unit, reasons in (('pose', [why for why in Refusal if why not in OF_MESSAGES]),
                               ('message', OF_MESSAGES)):
@@ -225,7 +225,7 @@ class PoseBuffer:
         return ', '.join(sentences)
 
     def _without_slashes(self, frames: Frames) -> Frames:
-        """Return frame ids as tf2 takes them: it refuses a leading slash."""
+        """Return frame ids without a leading slash, which tf2 refuses."""
         plain = frames[0].lstrip('/'), frames[1].lstrip('/')
         self._slashed |= plain != frames
         return plain
@@ -237,12 +237,12 @@ class PoseBuffer:
         self._poses = np.empty((0, 7))
         self._start = self._end = 0
         self._last_ns = 0
-        # Where the sensor was when it moved last, and when.
+        # Stamp and pose of the last motion.
         self._anchor: tuple[int, PoseTuple] = 0, ()
         self._jump: list[tuple[int, PoseTuple]] = []
-        # Poses in a row in frames that are not those held, and these frames.
-        self._strangers: list[tuple[int, PoseTuple]] = []
-        self._strange_frames = _NO_FRAMES
+        # Consecutive poses in other frames than the buffered ones, and these frames.
+        self._other_poses: list[tuple[int, PoseTuple]] = []
+        self._other_frames = _NO_FRAMES
 
     def _change_frames(self, frames: Frames) -> None:
         if len(self) and frames != self.frames:
@@ -251,23 +251,23 @@ class PoseBuffer:
         self._forget_poses(frames)
 
     def _consider_frames(self, stamp_ns: int, frames: Frames, pose: PoseTuple) -> None:
-        """Refuse a pose in other frames, unless those before it were in these, too."""
+        """Refuse a pose in other frames, until enough consecutive poses confirm the change."""
         self.refused[Refusal.OTHER_FRAME] += 1
-        if frames != self._strange_frames:
-            self._strangers.clear()
-            self._strange_frames = frames
-        step = stamp_ns - self._strangers[-1][0] if self._strangers else 1
+        if frames != self._other_frames:
+            self._other_poses.clear()
+            self._other_frames = frames
+        step = stamp_ns - self._other_poses[-1][0] if self._other_poses else 1
         if -JUMP_NS <= step <= 0:
             return
-        # Of two poses so far apart, one has a wrong stamp: the later one decides which.
+        # With such a large step, one of the two stamps is wrong: restart from the later one.
         if abs(step) > JUMP_NS:
-            self._strangers.clear()
-        self._strangers.append((stamp_ns, pose))
-        if self._is_confirmed(self._strangers):
-            self.refused[Refusal.OTHER_FRAME] -= len(self._strangers)
-            self._begin_anew(self._strangers, frames)
+            self._other_poses.clear()
+        self._other_poses.append((stamp_ns, pose))
+        if self._is_confirmed(self._other_poses):
+            self.refused[Refusal.OTHER_FRAME] -= len(self._other_poses)
+            self._restart(self._other_poses, frames)
 
-    def _begin_anew(self, row: list[tuple[int, PoseTuple]], frames: Frames) -> None:
+    def _restart(self, row: list[tuple[int, PoseTuple]], frames: Frames) -> None:
         self.forgotten += len(self)
         self._change_frames(frames)
         self._store_all(row)
@@ -282,7 +282,7 @@ class PoseBuffer:
             self._jump.clear()
 
     def _consider_jump(self, stamp_ns: int, pose: PoseTuple) -> None:
-        """Hold a pose whose stamp is far off until the next ones show whether the clock jumped."""
+        """Store a pose with a distant stamp until the next ones show whether the clock jumped."""
         if self._jump and stamp_ns <= self._jump[-1][0]:
             self._drop_strays()
         self._jump.append((stamp_ns, pose))
@@ -290,21 +290,20 @@ class PoseBuffer:
             return
         if self._jump[0][0] < self._last_ns:
             self.clock_jumps += 1
-            self._begin_anew(self._jump, self.frames)
+            self._restart(self._jump, self.frames)
         else:
             self._store_all(self._jump)
         self._jump.clear()
 
     def _is_confirmed(self, row: list[tuple[int, PoseTuple]]) -> bool:
-        """Return whether poses in a row that contradict what is held are to be believed."""
-        # And go on for a second: at 200 Hz three poses are over in 10 ms, which a receiver that
-        # starts anew fills with wrong stamps. Of a clock that hardly moves no more are held back
-        # than a buffer keeps.
+        """Return whether the consecutive poses are enough to confirm a jump or other frames."""
+        # They must span a second: at 200 Hz three poses take 10 ms, in which a restarting receiver
+        # may send wrong stamps. ``max_poses`` is the bound if the clock hardly advances.
         return len(row) >= self._limits.max_poses or (
             len(row) >= CONFIRMATIONS and row[-1][0] - row[0][0] >= 1_000_000_000)
 
     def _store(self, stamp_ns: int, pose: PoseTuple) -> None:
-        if self._stands(stamp_ns, pose):
+        if self._continues_standstill(stamp_ns, pose):
             self._end -= 1
             self.still += 1
         self._last_ns = stamp_ns
@@ -318,10 +317,10 @@ class PoseBuffer:
                or self._stamps[self._start] < oldest):
             self._start += 1
 
-    def _stands(self, stamp_ns: int, pose: PoseTuple) -> bool:
-        """Return whether the pose takes the place of the newest one: a standstill goes on.
+    def _continues_standstill(self, stamp_ns: int, pose: PoseTuple) -> bool:
+        """Return whether the pose replaces the newest one because the standstill continues.
 
-        When motion resumes, the pose just before it is there to interpolate from.
+        So the pose just before the next motion is kept, for interpolation.
         """
         anchor_ns, anchor = self._anchor
         if not anchor or self._moved(anchor, pose):
@@ -338,9 +337,9 @@ class PoseBuffer:
         return cosine < self._still_cosine
 
     def _make_room(self) -> None:
-        """Move the poses held to the front of arrays of twice their number, within the bound.
+        """Copy the poses to the front of arrays of twice their number, at most 2 ``max_poses``.
 
-        With room for twice ``max_poses`` the move happens once in ``max_poses`` poses.
+        So at the limit a copy occurs only once per ``max_poses`` poses.
         """
         count = len(self)
         size = min(max(2 * count, 1024), 2 * self._limits.max_poses)
@@ -351,10 +350,10 @@ class PoseBuffer:
 
 
 def fault_of(pose: PoseTuple) -> Refusal | None:
-    """Return why a pose is of no use, None where it is."""
+    """Return why a pose is unusable, None if it is usable."""
     x, y, z, qx, qy, qz, qw = pose
     norm = math.sqrt(qx * qx + qy * qy + qz * qz + qw * qw)
-    # Written so that NaN fails.
+    # NaN fails this comparison.
     unit = abs(norm - 1.0) <= ROTATION_TOLERANCE
     if (unit and abs(x) <= MAX_POSITION and abs(y) <= MAX_POSITION
             and abs(z) <= MAX_POSITION):

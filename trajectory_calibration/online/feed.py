@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""From the bytes of a message to a pose in a buffer; the same for a topic and for a bag.
+"""Put serialized messages, from a topic or a bag, into a buffer.
 
-Nothing here imports ROS. Building a message object costs ten times what the rest of a callback
-does, so the pose is read where it lies.
+Nothing here imports ROS. Building a message object costs ten times as much as the rest of a
+callback, so the pose is parsed from the bytes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def feed_message(msgtype: str, buffer: PoseBuffer, message: bytes) -> None:
-    """Put a serialized message of a trajectory type into a buffer, which counts what is wrong."""
+    """Put a serialized message of a trajectory type into a buffer; count it if it is damaged."""
     if msgtype == PATH:
         if (path := parse_path(message)) is not None:
             buffer.replace(path.stamps_ns, path.poses, path.frames)
@@ -30,7 +30,7 @@ def feed_message(msgtype: str, buffer: PoseBuffer, message: bytes) -> None:
 
 
 def feed_track(track: TopicTrack, buffer: PoseBuffer) -> None:
-    """Put what a bag holds of a topic into a buffer, message by message as the node would."""
+    """Put the track of a topic in a bag into a buffer, message by message as in the node."""
     for _ in range(track.unreadable):
         buffer.count_unreadable()
     buffer.count_refused(track.refused)

@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the launch files do with their arguments; apart from them: ``launch`` is not on PyPI.
+"""The arguments of the launch files. Not in these files, because ``launch`` is not on PyPI.
 
-An argument that is given beats the parameter file; one that is empty leaves it to the file.
+A given argument overrides the parameter file; for an empty one the file applies.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.online.options import OPTIONS
 from trajectory_calibration.rig.description import RigDescription
 
-# Name, default and meaning of an argument.
+# Name, default and description of an argument.
 Argument = tuple[str, str, str]
 
-# Parameters of the node that are arguments, too.
+# Parameters of the node that are also arguments.
 PARAMETERS = ('topic_a', 'topic_b', 'frame_a', 'frame_b', 'publish_tf', 'result_directory')
 _USE_SIM_TIME = 'use_sim_time'
 
-# The defaults of the parameters are empty: the file's.
+# Parameters have an empty default: the value in the file.
 _FILE: Argument = ('params_file', '', 'file with the parameters of a node; empty: all defaults')
-_OF_PROCESS: tuple[Argument, ...] = (
+_PROCESS_ARGUMENTS: tuple[Argument, ...] = (
     (_USE_SIM_TIME, '', 'whether a bag or a simulator publishes /clock; empty: as in the file'),
     ('log_level', 'info', 'debug, info, warn, error or fatal'),
     ('respawn', 'false', 'start a node again whenever it ends'),
 )
 
 
-def _of_parameter(name: str) -> Argument:
+def _parameter_argument(name: str) -> Argument:
     return name, '', f'{OPTIONS[name].help}; empty: as in the file'
 
 
 ARGUMENTS: tuple[Argument, ...] = (
     _FILE,
     ('config', '', 'older name of params_file'),
-    *map(_of_parameter, PARAMETERS),
+    *map(_parameter_argument, PARAMETERS),
     ('namespace', '', 'namespace of the node: one for each pair of sensors'),
     ('name', 'trajectory_calibration', 'name of the node'),
-    *_OF_PROCESS,
+    *_PROCESS_ARGUMENTS,
 )
 RIG_ARGUMENTS: tuple[Argument, ...] = (
     ('rig', '', 'RIG.yaml: the base and the sensors, each with a topic or tf; needed'),
     _FILE,
-    _of_parameter('result_directory'),
+    _parameter_argument('result_directory'),
     ('namespace', 'rig', 'namespace of the nodes'),
-    *_OF_PROCESS,
+    *_PROCESS_ARGUMENTS,
 )
 
 _LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
@@ -59,7 +59,7 @@ _LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 
 @dataclass(frozen=True)
 class LaunchSettings:
-    """How a node is started; ``parameters`` beat the file."""
+    """How to start a node; ``parameters`` override the file."""
 
     params_file: str | None
     namespace: str
@@ -70,39 +70,39 @@ class LaunchSettings:
 
     def of_node(self, typed: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of ``launch_ros.actions.Node``; ``typed`` is ParameterValue."""
-        # Typed: as text of YAML, a frame named "off" would become False.
+        # With a type, because YAML reads a frame named "off" as False.
         overrides = {name: typed(value, value_type=type(value))
                      for name, value in self.parameters.items()}
         return {
             'package': 'trajectory_calibration', 'executable': 'calibration_node',
             'name': self.name, 'namespace': self.namespace, 'output': 'screen',
-            # Later ones win: an argument beats the file.
+            # The last one has priority.
             'parameters': [*filter(None, [self.params_file, overrides])],
             'arguments': ['--ros-args', '--log-level', self.log_level],
             'respawn': self.respawn, 'respawn_delay': 2.0}
 
 
 def launch_settings(arguments: Mapping[str, str]) -> LaunchSettings:
-    """Return how to start the node for arguments of ``calibration.launch.py``, all texts."""
+    """Return the settings of the node for arguments of ``calibration.launch.py``, all strings."""
     given = _with_defaults(ARGUMENTS, arguments)
     return LaunchSettings(
-        **_of_process(given), name=given['name'], parameters=_parameters(given, PARAMETERS))
+        **_process_settings(given), name=given['name'], parameters=_parameters(given, PARAMETERS))
 
 
 def rig_settings(arguments: Mapping[str, str]) -> list[LaunchSettings]:
-    """Return how to start the nodes for arguments of ``rig.launch.py``.
+    """Return the settings of the nodes for arguments of ``rig.launch.py``.
 
-    One for each sensor of RIG.yaml, as child of the base; ``trajectory_calibration rig
-    --from-results DIR`` makes one rig of what they save. Raises ConfigError: no such file, a
-    sensor that no node can receive, or two that get one name.
+    There is one node for each sensor of RIG.yaml except the base, which is its parent;
+    ``trajectory_calibration rig --from-results DIR`` makes one rig of their saved results. Raises
+    ConfigError if the file does not exist, a sensor has no topic, or two nodes have equal names.
     """
     given = _with_defaults(RIG_ARGUMENTS, arguments)
     if not given['rig']:
         raise ConfigError('rig is empty, needed the description of the sensors: rig:=RIG.yaml')
-    process, parameters = _of_process(given), _parameters(given, ['result_directory'])
+    process, parameters = _process_settings(given), _parameters(given, ['result_directory'])
     found: dict[str, tuple[str, LaunchSettings]] = {}
-    for sensor, own in _of_sensors(RigDescription.load(Path(given['rig']).expanduser())).items():
-        # Of a ROS name: letters of ASCII, digits and underscores.
+    for sensor, own in _sensor_parameters(RigDescription.load(Path(given['rig']).expanduser())).items():
+        # Characters allowed in a ROS name: ASCII letters, digits and underscores.
         name = 'calibrate_' + re.sub('[^A-Za-z0-9_]', '_', sensor)
         if name in found:
             raise ConfigError(f'the sensors {found[name][0]} and {sensor} would both be '
@@ -112,8 +112,8 @@ def rig_settings(arguments: Mapping[str, str]) -> list[LaunchSettings]:
     return [settings for _, settings in found.values()]
 
 
-def _of_sensors(description: RigDescription) -> dict[str, dict[str, Any]]:
-    """Return the parameters of the node of each sensor but the base."""
+def _sensor_parameters(description: RigDescription) -> dict[str, dict[str, Any]]:
+    """Return the node parameters of each sensor except the base."""
     base = description.config.base or next(iter(description.inputs))
     if base not in description.inputs:
         raise ConfigError(f'the base {base!r} is none of the sensors: '
@@ -139,8 +139,8 @@ def _with_defaults(known: Sequence[Argument], arguments: Mapping[str, str]) -> d
     return {name: arguments.get(name, default) or default for name, default, _ in known}
 
 
-def _of_process(given: Mapping[str, str]) -> dict[str, Any]:
-    """Return what is not a parameter of the node."""
+def _process_settings(given: Mapping[str, str]) -> dict[str, Any]:
+    """Return the settings that are not parameters of the node."""
     if given['log_level'] not in _LOG_LEVELS:
         raise ConfigError(
             f'log_level is {given["log_level"]!r}, needed one of {", ".join(_LOG_LEVELS)}')
@@ -150,7 +150,7 @@ def _of_process(given: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _parameters(given: Mapping[str, str], names: Sequence[str]) -> dict[str, Any]:
-    """Return the parameters that are given, each in its type."""
+    """Return the given parameters, each in its type."""
     return {name: _switch(name, given[name])
             if name == _USE_SIM_TIME or OPTIONS[name].kind is bool
             else OPTIONS[name].check(given[name])

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The node's options: one for each field of CalibrationConfig, and the node's own.
+"""The options of the node: the fields of CalibrationConfig, and those of the node itself.
 
-Defaults, ranges and words of the parameters, of ``config/calibration.yaml`` and of a replay come
-from here; a value is judged by ``Option.check`` alone, at the start and at run time.
+They define defaults, ranges and texts of the parameters, of ``config/calibration.yaml`` and of a
+replay. ``Option.check`` validates a value at the start and at run time.
 
 ``python3 -m trajectory_calibration.online.options > config/calibration.yaml`` writes the file.
 """
@@ -23,15 +23,15 @@ from trajectory_calibration.online.buffer import BufferLimits
 from trajectory_calibration.sources.cdr import TRAJECTORY_TYPES
 from trajectory_calibration.sources.transforms import parse_tf, TF_PREFIX
 
-# What rclpy itself declares on every node, and how the names begin that it may declare.
+# Parameters that rclpy declares on every node, and the prefix of others that it may declare.
 _FOREIGN_NAMES = ('use_sim_time', 'start_type_description_service')
 _FOREIGN_PREFIX = 'qos_overrides.'
 
-# The type that means: what the topic's publishers offer.
+# Type name for: the type of the publishers.
 AUTOMATIC = 'auto'
 
-# An option of the command line in a sentence, and its value.
-_OF_COMMAND = re.compile(r'--(no-)?([a-z]+(?:-[a-z]+)*)(?:=(\S*\w))?')
+# A command-line option with its value within a sentence.
+_COMMAND_OPTION = re.compile(r'--(no-)?([a-z]+(?:-[a-z]+)*)(?:=(\S*\w))?')
 
 _LIMITS = BufferLimits()
 _TYPES = f'{AUTOMATIC} (what its publishers offer), {", ".join(TRAJECTORY_TYPES)}'
@@ -39,7 +39,7 @@ _TF = f'or two frames of /tf as {TF_PREFIX}PARENT.CHILD'
 
 CONFIG_OPTIONS = tuple(CalibrationConfig.options())
 
-# Title, whether a running node takes a new value, options.
+# Title, whether the options can be changed at run time, options.
 _GROUPS: tuple[tuple[str, bool, tuple[Option, ...]], ...] = (
     ('Inputs', False, (
         Option('topic_a', 'trajectory_a',
@@ -107,18 +107,18 @@ FIXED_NAMES = frozenset(
 
 
 def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every option in its type, the defaults where ``values`` has none.
+    """Return all options in their types, with defaults for those missing in ``values``.
 
     Parameters that rclpy declares on every node are left out.
 
     Raises
     ------
     ConfigError
-        An unknown name, or a value that does not fit, alone or with the others.
+        A name is unknown, or a value is invalid, alone or in combination.
 
     """
     for name in _FOREIGN_NAMES:
-        # rclpy would not heed it.
+        # rclpy would ignore it.
         if not isinstance(values.get(name, False), bool):
             raise ConfigError(f'{name} is {values[name]!r}, needed true or false')
     unknown = sorted(name for name in values if name not in OPTIONS
@@ -137,19 +137,19 @@ def check_values(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def to_config(values: Mapping[str, Any]) -> CalibrationConfig:
-    """Return the settings of a calibration among checked values."""
+    """Return the calibration settings of checked values."""
     return CalibrationConfig(**{option.name: values[option.name] for option in CONFIG_OPTIONS})
 
 
 def to_limits(values: Mapping[str, Any]) -> BufferLimits:
-    """Return how much the buffers keep according to checked values."""
+    """Return the buffer limits of checked values."""
     return BufferLimits(
         values['max_poses'], values['max_age'], values['still_after'], values['still_distance'],
         values['still_angle'])
 
 
 def find_type(name: str) -> str | None:
-    """Return 'nav_msgs/msg/Odometry' of itself or for short of 'Odometry'; None of 'auto'."""
+    """Return 'nav_msgs/msg/Odometry' for itself or the short 'Odometry'; None for 'auto'."""
     if name == AUTOMATIC:
         return None
     for msgtype in TRAJECTORY_TYPES:
@@ -166,7 +166,7 @@ def find_frames(topic: str) -> tuple[str, str] | None:
 
 
 def in_node_words(text: str) -> str:
-    """Return a sentence with parameters of the node in place of options of the command line."""
+    """Replace command-line options in a sentence by the parameters of the node."""
     def word(found: re.Match[str]) -> str:
         name = found[2].replace('-', '_')
         value = 'false' if found[1] else found[3]
@@ -174,11 +174,11 @@ def in_node_words(text: str) -> str:
             return found[0]
         return f'{name}:={value}' if value else name
 
-    return _OF_COMMAND.sub(word, text)
+    return _COMMAND_OPTION.sub(word, text)
 
 
 def parameter_file() -> str:
-    """Return the parameter file with every option, its default and its explanation."""
+    """Return the text of the parameter file: all options with defaults and explanations."""
     lines = [
         '# Every parameter of calibration_node with its default. Copy, edit, and start with',
         '#   ros2 run trajectory_calibration calibration_node --ros-args --params-file FILE',
@@ -204,7 +204,7 @@ def _commented(option: Option) -> Iterable[str]:
 
 
 def parameter_text(value: Any) -> str:
-    """Return a value as YAML has it."""
+    """Return a value in YAML syntax."""
     return repr(value).lower() if isinstance(value, bool) else repr(value)
 
 

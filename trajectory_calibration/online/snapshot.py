@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a buffer held at one moment, whole or in part."""
+"""Copies of a buffer, or of a part of it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _MANY_POSES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """What a buffer held at one moment; independent of it, cheap to send to another process.
+    """A copy of a buffer, cheap to send to another process.
 
-    The (N, 7) poses are position x, y, z (metres) and quaternion x, y, z, w in the world; the
-    warnings say what was refused.
+    The (N, 7) poses are position x, y, z (metres) and quaternion x, y, z, w in the world frame;
+    the warnings list the refused poses.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -45,18 +45,17 @@ class Snapshot:
             tuple(Finding('input-repaired', note) for note in self.warnings))
 
     def thinned(self) -> Snapshot:
-        """Return every n-th pose of a long track at a high rate; a short one as it is.
+        """Return every n-th pose of a long track with a high rate; a short track unchanged.
 
-        The standard deviations of a calibration change little by it: errors that accumulate
-        are in the poses that stay, too.
+        The standard deviations of a calibration change little, because accumulated errors are
+        also in the remaining poses.
         """
         count = len(self.stamps_ns)
         if count <= _MANY_POSES:
             return self
-        usual_ns = max(int(np.median(np.diff(self.stamps_ns))), 1)
-        # Never to steps beyond 0.1 s: what lies between two poses is interpolated, and the clock
-        # offset is found from what remains.
-        stride = min(count // _MANY_POSES, 100_000_000 // usual_ns)
+        median_ns = max(int(np.median(np.diff(self.stamps_ns))), 1)
+        # Steps of at most 0.1 s, for the interpolation and the estimate of the clock offset.
+        stride = min(count // _MANY_POSES, 100_000_000 // median_ns)
         return self if stride < 2 else self._picked(slice(None, None, stride))
 
     def after(self, stamp_ns: int) -> Snapshot:

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Results on disk: one file for each, numbered, never overwritten."""
+"""Results on disk: one numbered file per result, never overwritten."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from trajectory_calibration.outputs.exports import write_exports
 from trajectory_calibration.outputs.placement import Placement
 from trajectory_calibration.result import CalibrationResult
 
-# Bytes of a file that is read. A result has a few thousand; one with half of 1,000,000 motions
-# rejected at random, which it lists, has 3,000,000.
+# Largest file that is read, bytes. A result has a few thousand. With half of 1,000,000 motions
+# rejected at random, which it lists, it has 3,000,000.
 _LARGEST = 4_000_000
 
 
 class Restored(NamedTuple):
-    """A result of an earlier run, which waits until the frames of the vehicle are known."""
+    """A result of an earlier run, restored when the frames of the vehicle are known."""
 
     path: Path
     result: CalibrationResult
 
     @property
     def waiting(self) -> str:
-        """Return what it waits for."""
+        """Return the condition for restoring it, in words."""
         return (f'{self.path.name} is restored when poses of {self.result.frame_a} and '
                 f'{self.result.frame_b} arrive, or frame_a and frame_b name them')
 
     def compare(self, frames: Sequence[str]) -> str | None:
-        """Return '' where the frames of the vehicle are its own, why it is refused where not.
+        """Return '' if ``frames`` are those of the result, otherwise why it is refused.
 
-        None where one of them is not known yet, which reads ''.
+        None if one of the frames is not known yet, ''.
         """
         wanted = self.result.frame_a, self.result.frame_b
         if any(frame not in ('', expected)
@@ -55,16 +55,16 @@ class Restored(NamedTuple):
 
 
 class ResultStore:
-    """The results of one node in a folder, which is made where it does not exist.
+    """The results of one node in a folder, which is created if it does not exist.
 
-    Files are named after the node and a running number: no name comes from a message, and no
-    order depends on a clock that a vehicle may set after it has started. A dot stands for each
-    slash of the node's name, which itself holds none: no two nodes have the same files.
+    A file name is the node name and a sequence number: independent of messages, and of a clock
+    that the vehicle may set after the start. Slashes in the node name are replaced by dots, which
+    ROS names cannot contain, so names are unique.
 
     Raises
     ------
     ConfigError
-        The folder cannot be found, made or written to, or ruamel.yaml is not installed.
+        The folder cannot be found, created or written to, or ruamel.yaml is not installed.
 
     """
 
@@ -91,29 +91,29 @@ class ResultStore:
                 'permissions')
 
     def save(self, result: CalibrationResult) -> Path:
-        """Write a result, whole or not at all, and return its file; ResultError if not."""
+        """Write a result atomically and return its file; raise ResultError if that fails."""
         newest = max((number for number, _ in self._files()), default=0)
         for number in itertools.count(newest + 1):
             path = self._folder / f'{self._prefix}_{number:06d}.yaml'
-            # Another node of this name may take the same number at the same moment.
+            # Another node with this name may use the same number concurrently.
             with suppress(FileExistsError):
                 write_yaml(path, result.to_dict(), overwrite=False)
                 break
         return path
 
     def export(self, result: CalibrationResult, path: Path) -> Path:
-        """Write every export of a saved result into a folder named as its file; return it."""
+        """Write all exports of a saved result to a folder named after its file; return it."""
         folder = path.with_suffix('')
         write_exports(Placement.of(result), folder)
         return folder
 
     def latest(self) -> Restored | None:
-        """Return the newest result that can be read; None where there is no file.
+        """Return the newest readable result, None if there is no file.
 
         Raises
         ------
         ResultError
-            There are files, and none can be read, or the folder has gone.
+            None of the files can be read, or the folder was removed.
 
         """
         failure = None
@@ -127,7 +127,7 @@ class ResultStore:
         return None
 
     def _files(self) -> list[tuple[int, Path]]:
-        """Return number and path of each result; what waits for a writer, as a FIFO, is none."""
+        """Return number and path of each result; only regular files, since a FIFO would block."""
         pattern = re.compile(rf'{re.escape(self._prefix)}_(\d+)\.yaml')
         try:
             paths = list(self._folder.iterdir())
@@ -156,7 +156,7 @@ def _load(path: Path) -> CalibrationResult | ResultError:
             f'{path} holds {size} bytes, needed at most {_LARGEST}: it is no result of this node')
     try:
         result = CalibrationResult.load(path)
-        # No message can carry a name that is no UTF-8; YAML can.
+        # YAML can contain names that are not UTF-8; messages cannot.
         f'{result.frame_a}{result.frame_b}'.encode()
     except ResultError as error:
         return error

@@ -1,17 +1,17 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Where an extrinsic may hang in the frames of a vehicle, so that TF stays a tree.
+"""Choose the TF edge that publishes an extrinsic, so that TF stays a tree.
 
-In TF a frame has one parent. A second transform for a frame that has one moves the frame under
-the new parent in every tf2 buffer, without a warning, and tears the rest of the tree off. So the
-node listens first, and ``VehicleFrames.place`` says which edge carries the extrinsic:
+In TF a frame has one parent. A transform from a second parent moves the frame to it in every tf2
+buffer, without a warning, and disconnects the rest of the tree. So the node listens first, and
+``VehicleFrames.place`` chooses the edge:
 
 * the child b has no parent: a -> b;
-* b has one, and the parent sensor a has none: from the top of the fixed frames above b, as a
-  rule base_link, to a;
-* both have one in separate trees, and everything above b is fixed: a -> the root of the tree
-  of b, as a rule the body of its driver;
-* otherwise none: a and b are connected already, and a second way between them is no tree.
+* b has a parent, and the parent sensor a has none: from the highest frame fixed to b, usually
+  base_link, to a;
+* both have parents in separate trees, and all frames above b are fixed: from a to the root of the
+  tree of b, usually the body frame of its driver;
+* otherwise none: a and b are connected already, and a second path would not be a tree.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.frame_tree import between, TreeEdge, upwards
 
-# Of more frames, as of each object that is tracked, those that moved longest ago are forgotten.
+# With more frames, such as one per tracked object, the least recently moved are dropped.
 _MOST_FRAMES = 1000
 
 
 class Carrier(NamedTuple):
-    """Which transform carries an extrinsic, if any may, and why it is another than a -> b."""
+    """The edge that publishes an extrinsic (None if not possible), and why it is not a -> b."""
 
     edge: TreeEdge | None
     reason: str = ''
@@ -40,7 +40,7 @@ class VehicleFrames:
 
     def __init__(self) -> None:
         self._edges: dict[str, TreeEdge] = {}
-        # What this node has put on /tf_static, which it hears itself.
+        # Published on /tf_static by this node, which also receives them.
         self._published: list[TreeEdge] = []
         self._conflicts: dict[str, str] = {}
 
@@ -52,7 +52,7 @@ class VehicleFrames:
     def add(
         self, parent: str, child: str, T_parent_child: FloatArray, *, static: bool,
     ) -> None:
-        """Take a transform as it arrives; what this node published itself is left out."""
+        """Add a received (4, 4) transform; those published by this node are ignored."""
         edge = TreeEdge(parent.lstrip('/'), child.lstrip('/'), T_parent_child,
                         'fixed' if static else 'moving')
         if not edge.parent or not edge.child or edge.parent == edge.child:
@@ -70,7 +70,7 @@ class VehicleFrames:
             self._conflicts[edge.child] = (
                 f'another node publishes {edge.parent} -> {edge.child}, which this node publishes '
                 f'as {self._published[-1].parent} -> {edge.child}; stop one of the two')
-        # Taken out first, so that those heard last are last.
+        # Removed first, so that the order is by last reception.
         self._edges.pop(edge.child, None)
         self._edges[edge.child] = edge
         if len(self._edges) > _MOST_FRAMES:
@@ -79,13 +79,13 @@ class VehicleFrames:
                 del self._edges[name]
 
     def published(self, edge: TreeEdge) -> None:
-        """Note what this node has put on /tf_static."""
+        """Record a transform that this node published on /tf_static."""
         self._published.append(edge)
 
     def transform(self, frame_a: str, frame_b: str) -> FloatArray | None:
-        """Return the (4, 4) pose of frame b in frame a, None where that is not fixed.
+        """Return the (4, 4) pose of frame b in frame a, None if it is not fixed.
 
-        And None where one name stands for both sensors: of two poses TF knows nothing then.
+        Also None if both sensors have the same name: TF has then only one pose for both.
         """
         if frame_a == frame_b:
             return None
@@ -96,7 +96,7 @@ class VehicleFrames:
         self, frame_a: str, frame_b: str, T_a_b: FloatArray,
         invented: frozenset[str] = frozenset(),
     ) -> Carrier:
-        """Return where the pose of b in a goes; ``invented`` names of frames must not reach TF."""
+        """Return the edge for the pose of b in a; ``invented`` frame names are not published."""
         if frame_a == frame_b:
             return Carrier(None, f'both frames are {frame_a}; set frame_a and frame_b')
         for name, setting in ((frame_a, 'frame_a'), (frame_b, 'frame_b')):
@@ -104,13 +104,13 @@ class VehicleFrames:
                 return Carrier(None, f'the messages name no frame for {name}; set {setting}')
         found = between(self._edges, frame_a, frame_b)
         if found is not None:
-            cure = (
+            remedy = (
                 'correct that transform, for instance in the URDF, instead of adding a second'
                 if found[1] is None else
                 'a SLAM or an odometry publishes it: switch off the TF of one of the two')
-            way = ' <- '.join(name for name, _, _ in upwards(self._edges, frame_b))
+            path = ' <- '.join(name for name, _, _ in upwards(self._edges, frame_b))
             return Carrier(None, (
-                f'the vehicle already connects {frame_a} and {frame_b} ({way}); {cure}'))
+                f'the vehicle already connects {frame_a} and {frame_b} ({path}); {remedy}'))
         if frame_b not in self._edges:
             return Carrier(TreeEdge(frame_a, frame_b, T_a_b))
         has_parent = f'{frame_b} already has the parent {self._edges[frame_b].parent}'
@@ -128,10 +128,10 @@ class VehicleFrames:
 
 
 def difference_in_words(T_a_b: FloatArray, T_a_b_today: FloatArray) -> str:
-    """Return in words how far an answer is from the transform that the vehicle has today."""
+    """Return the difference of an answer from the present transform of the vehicle in words."""
     step = se3.step_between(T_a_b_today, T_a_b)
     # Zero is added so that nothing is -0.0000.
-    shift, turn = np.round(step[:3], 4) + 0.0, np.round(np.rad2deg(step[3:]), 3) + 0.0
-    return (f'{np.linalg.norm(shift):.4f} m (x {shift[0]:+.4f}, y {shift[1]:+.4f}, '
-            f'z {shift[2]:+.4f}) and {np.linalg.norm(turn):.3f} deg '
-            f'(about x {turn[0]:+.3f}, y {turn[1]:+.3f}, z {turn[2]:+.3f})')
+    t, r_deg = np.round(step[:3], 4) + 0.0, np.round(np.rad2deg(step[3:]), 3) + 0.0
+    return (f'{np.linalg.norm(t):.4f} m (x {t[0]:+.4f}, y {t[1]:+.4f}, '
+            f'z {t[2]:+.4f}) and {np.linalg.norm(r_deg):.3f} deg '
+            f'(about x {r_deg[0]:+.3f}, y {r_deg[1]:+.3f}, z {r_deg[2]:+.3f})')

@@ -1,9 +1,9 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the answer that the node publishes still holds on what arrives.
+"""Check the published answer against the recent poses, to detect that a sensor has moved.
 
-A sensor that was knocked is found while driving: the recent poses are calibrated by themselves
-and compared with the answer, as ``trajectory_calibration verify`` does.
+The recent poses are calibrated separately and the result is compared with the answer, as
+``trajectory_calibration verify`` does.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from trajectory_calibration.result import CalibrationResult
 
 @dataclass(frozen=True)
 class MonitorVerdict:
-    """What a check of the published answer says, with the status that ``verify`` ends with."""
+    """The result of a check of the published answer, with the exit status of ``verify``."""
 
     verdict: str
     exit_status: int
     sentence: str
-    # In a row that found that it moved.
+    # Consecutive checks that found a moved sensor.
     checks: int = 0
 
     @property
@@ -38,7 +38,7 @@ class MonitorVerdict:
         return min(self.checks, 2)
 
     def following(self, before: MonitorVerdict | None) -> MonitorVerdict:
-        """Return this verdict after an earlier one: poor motion neither confirms nor denies."""
+        """Return this verdict with the count continued: CANNOT_TELL does not change the count."""
         earlier = before.checks if before else 0
         checks = {HOLDS: 0, CANNOT_TELL: earlier, MOVED: earlier + 1}[self.verdict]
         recalled = f'; before: {before.sentence}' if (
@@ -56,27 +56,27 @@ class MonitorJob:
     config: CalibrationConfig
 
     def run(self) -> MonitorVerdict:
-        """Check; raises CalibrationError where the data give no answer."""
+        """Check; raises CalibrationError if the calibration of the recent poses fails."""
         found = verify(self.result, self.track_a.thinned().trajectory(),
                        self.track_b.thinned().trajectory(), self.config)
         return MonitorVerdict(found.verdict, found.exit_status, found.describe())
 
 
 class Monitor:
-    """Decides when the published answer is checked, and on the poses of which window."""
+    """Decides when to check the published answer, and with which time window of poses."""
 
     def __init__(self, period_s: float, window_s: float) -> None:
         self._period_s, self._window_ns = period_s, round(window_s * 1e9)
         self._checked_s = -float('inf')
         self._result: CalibrationResult | None = None
-        # Only poses after these stamps say something that the answer does not hold already.
+        # Only poses after these stamps are independent of the answer.
         self._since_ns = [0, 0]
-        # The newest stamps of the last check: the same poses confirm nothing.
+        # The newest stamps of the last check: a check of the same poses confirms nothing.
         self._last_ns = [0, 0]
 
     def watch(self, result: CalibrationResult, session: CalibrationSession, *, restored: bool,
               ) -> None:
-        """Watch a new answer, from the poses on that were not there when it was found."""
+        """Watch a new answer with the poses that arrive after it was estimated."""
         self._result, self._last_ns = result, [0, 0]
         self._since_ns = [0 if restored or buffer.span_ns is None else buffer.span_ns[1]
                           for buffer in session.buffers]
@@ -92,12 +92,12 @@ class Monitor:
         for buffer, *before_ns in zip(
                 session.buffers, self._since_ns, self._last_ns, strict=True):
             first_ns, end_ns = buffer.span_ns or (0, 0)
-            # A clock that went back began another recording.
+            # If the clock went back, this is another recording.
             begin_ns, seen_ns = (
                 stamp if stamp <= end_ns else first_ns for stamp in before_ns)
             starts_ns.append(max(begin_ns, end_ns - self._window_ns))
             ends_ns.append(end_ns)
-            # With so few new poses of a sensor nothing can be told.
+            # Too few new poses of a sensor for a check.
             if np.count_nonzero(buffer.stamps_ns > max(starts_ns[-1], seen_ns)) < 30:
                 return None
         self._checked_s, self._last_ns = now_s, ends_ns

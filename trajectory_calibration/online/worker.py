@@ -1,10 +1,10 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Calibrations in a process of their own, beside a node that keeps receiving.
+"""Calibrations in a separate process, while the node keeps receiving.
 
-A thread would share the interpreter lock with the callbacks: a solver that computes for a second
-without releasing it stops them for a second. A process shares nothing, can be stopped when it
-takes too long, returns its memory, and cannot take the node down with it.
+A thread shares the interpreter lock with the callbacks: a solver that does not release it for a
+second blocks them for a second. A process does not, can be stopped at a timeout, frees its memory,
+and cannot crash the node.
 
 ``main`` is that process: one pickled job on standard input, one pickled result or error on
 standard output. Both ends are this package on this machine; nothing else writes to these pipes.
@@ -28,7 +28,7 @@ from trajectory_calibration.errors import CalibrationError, missing_package, Sol
 Answer = TypeVar('Answer')
 Answer_co = TypeVar('Answer_co', covariant=True)
 
-# The process knows the node's, and finds every module where the node found it.
+# The process gets the process id of the node and its module search path.
 _BOOTSTRAP = f"""
 import sys
 node, sys.path[:] = int(sys.argv[1]), sys.argv[2:]
@@ -38,16 +38,16 @@ sys.exit(main(node))
 
 
 class StoppedError(SolverError):
-    """The calibration was stopped because somebody asked for it."""
+    """The calibration was stopped on request."""
 
 
-# What stands as the outcome until there is one.
+# The outcome of a job that ends without one.
 _UNFINISHED = SolverError(
     'the calibration ended without an answer; the reason is in the log of the node')
 
 
 class SolverJob(Protocol[Answer_co]):
-    """What the process runs: plain data with a method that may raise CalibrationError."""
+    """A job for the process: plain data with a method that may raise CalibrationError."""
 
     def run(self) -> Answer_co:
         """Return the answer."""
@@ -57,10 +57,10 @@ class SolverJob(Protocol[Answer_co]):
 class SolverProcess(Generic[Answer]):
     """Runs one job at a time.
 
-    ``done`` is called without arguments, as a rule from another thread, when the outcome can be
-    taken: once for every ``start``, whatever happened. ``busy`` until it is taken, ``ready`` when
-    that waits for nothing. ``cpu_s`` is the CPU time of the last job, its process included; of one
-    that was stopped, its duration.
+    ``done`` is called without arguments, usually from another thread, when the outcome is ready:
+    once for every ``start``, whatever happened. ``busy`` until the outcome is taken; ``ready``
+    when taking it does not block. ``cpu_s`` is the CPU time of the last job including the start of
+    the process, or the duration of a job that was stopped.
     """
 
     def __init__(self, done: Callable[[], None]) -> None:
@@ -75,7 +75,7 @@ class SolverProcess(Generic[Answer]):
         self.started_s = 0.0
 
     def start(self, job: SolverJob[Answer], timeout_s: float) -> None:
-        """Start a job; the caller has checked that none is running."""
+        """Start a job; none may be running."""
         self.started_s = time.monotonic()
         self.busy, self._cancelled, self._outcome = True, None, _UNFINISHED
         thread = threading.Thread(
@@ -89,14 +89,14 @@ class SolverProcess(Generic[Answer]):
         self._thread = thread
 
     def cancel(self, reason: str) -> None:
-        """Stop the running calibration, if any; its outcome is a StoppedError."""
+        """Stop the running job, if any; its outcome is a StoppedError."""
         with self._lock:
             self._cancelled = reason
             if self._process is not None:
                 self._process.kill()
 
     def take_outcome(self) -> Answer | CalibrationError:
-        """Return the outcome and be free for the next calibration; waits where it must."""
+        """Return the outcome, waiting for it if necessary, and be ready for the next job."""
         if self._thread is not None:
             self._thread.join()
         outcome = self._outcome
@@ -105,14 +105,14 @@ class SolverProcess(Generic[Answer]):
         return outcome if self._cancelled is None else StoppedError(self._cancelled)
 
     def shutdown(self) -> None:
-        """Stop whatever runs and wait for its end."""
+        """Stop the running job and wait for its end."""
         self.cancel('stopped: the node is shutting down')
         if self._thread is not None:
             self._thread.join()
 
     def _run(self, job: SolverJob[Answer], timeout_s: float) -> None:
-        # What is not foreseen here ends this thread with a traceback in the log. The node hears
-        # of the end all the same, or it would be busy for ever.
+        # An unexpected exception ends this thread with a traceback in the log. The node must be
+        # notified nevertheless, or it would be busy for ever.
         try:
             self._outcome = self._solve(job, timeout_s)
         except OSError as error:
@@ -132,7 +132,7 @@ class SolverProcess(Generic[Answer]):
         with self._lock:
             if self._cancelled is not None:
                 return StoppedError(self._cancelled)
-            # A session of its own, so that Ctrl-C in a terminal reaches the node only.
+            # A separate session, so that Ctrl-C in a terminal reaches only the node.
             process = self._process = subprocess.Popen(
                 [sys.executable, '-c', _BOOTSTRAP, str(os.getpid()), *sys.path],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
@@ -144,7 +144,7 @@ class SolverProcess(Generic[Answer]):
                     f'no answer within {timeout_s:g} s, stopped; reset and record less, raise '
                     'calibration_timeout, or choose a faster solver')
             finally:
-                # Does nothing to a process that has ended by itself.
+                # No effect if the process has ended already.
                 process.kill()
                 with self._lock:
                     self._process = None
@@ -162,18 +162,18 @@ class SolverProcess(Generic[Answer]):
 
 
 def main(node: int) -> int:
-    """Read a job, run it, write its outcome; end with the process ``node``, however that ends."""
+    """Read a job, run it, write its outcome; end when the process ``node`` ends."""
     if sys.platform == 'linux':
-        # A node that is killed stops nothing, and a session of its own hears of no terminal.
+        # A killed node cannot stop this process, and no terminal signal reaches its session.
         pr_set_pdeathsig = 1
         ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
     if os.getppid() != node:
-        # It went before that took effect.
+        # The node ended before that took effect.
         sys.stderr.write(f'no calibration: the node, process {node}, has gone\n')
         return 1
-    # The solver gives way to whatever else the vehicle's computer has to do.
+    # The other programs on the vehicle's computer have priority.
     os.nice(10)
-    # Solvers written in C print where they like; the answer alone goes to the pipe.
+    # Solvers in C may print to standard output: redirect it, the pipe must get only the answer.
     reply = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     job: SolverJob[Any] = pickle.load(sys.stdin.buffer)
