@@ -96,7 +96,8 @@ class AdviceJob:
         if result.covariance is None:
             return Advice(failure='the solver gives no standard deviations')
         # The diagnostics do not need the mask of inliers, which is large.
-        return Advice(replace(result, inliers=None), missing=_allowed_direction(result, self.config))
+        return Advice(
+            replace(result, inliers=None), missing=_allowed_direction(result, self.config))
 
 
 def _allowed_direction(result: CalibrationResult, config: CalibrationConfig) -> FloatArray | None:

@@ -106,7 +106,7 @@ class PoseBuffer:
 
     @property
     def messages(self) -> int:
-        """Number of messages since the last ``clear``."""
+        """Messages since the last ``clear``."""
         return self.received - self._received_before
 
     @property

@@ -101,7 +101,8 @@ def rig_settings(arguments: Mapping[str, str]) -> list[LaunchSettings]:
         raise ConfigError('rig is empty, needed the description of the sensors: rig:=RIG.yaml')
     process, parameters = _process_settings(given), _parameters(given, ['result_directory'])
     found: dict[str, tuple[str, LaunchSettings]] = {}
-    for sensor, own in _sensor_parameters(RigDescription.load(Path(given['rig']).expanduser())).items():
+    description = RigDescription.load(Path(given['rig']).expanduser())
+    for sensor, own in _sensor_parameters(description).items():
         # Characters allowed in a ROS name: ASCII letters, digits and underscores.
         name = 'calibrate_' + re.sub('[^A-Za-z0-9_]', '_', sensor)
         if name in found:

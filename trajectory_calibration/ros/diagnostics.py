@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What the node knows about itself, as diagnostic_msgs."""
+"""The diagnostics of the node."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ from trajectory_calibration.ros.topics import TopicStatus
 
 OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
 
-# A topic without a message for so long is reported as silent, seconds.
+# A topic without a message for longer, seconds, is reported as silent.
 _SILENT_S = 5.0
 
 
 class InputMonitor:
-    """Reports one input; remembers what it needs to speak up only when it matters."""
+    """Reports the state of one input, and changes since the last report."""
 
     def __init__(self, name: str, buffer: PoseBuffer, now_s: float, sensor: str = '') -> None:
         self.name, self._sensor = name, sensor
-        # Messages a second between the last two reports.
+        # Messages per second between the last two reports.
         self.rate_hz = 0.0
         self._buffer = buffer
         self._received = 0
         self._reported_s = now_s
         self._last_message_s: float | None = None
-        # What is held, as last seen, and since when messages have changed nothing of it.
-        self._held: tuple[object, ...] = ()
-        self._useless_since_s: float | None = None
+        # Generation and span of the buffer at the last report, and since when messages have not
+        # changed them.
+        self._last_held: tuple[object, ...] = ()
+        self._unchanged_since_s: float | None = None
         self._refused = 0
-        # Clock jumps, changes of frames and the poses that they cost, as last seen.
+        # Clock jumps, changes of frames and the poses dropped by them, at the last report.
         self._losses = (0, 0, 0)
         self._lost_s = -math.inf
         self._loss = ''
@@ -54,15 +55,15 @@ class InputMonitor:
         if arrived:
             self._last_message_s = now_s
         held = (buffer.generation, buffer.span_ns)
-        if held != self._held:
-            self._held, self._useless_since_s = held, None
-        elif arrived and self._useless_since_s is None:
-            self._useless_since_s = now_s
+        if held != self._last_held:
+            self._last_held, self._unchanged_since_s = held, None
+        elif arrived and self._unchanged_since_s is None:
+            self._unchanged_since_s = now_s
         self._received, self._reported_s = buffer.received, now_s
-        worry = self._worry(topic, now_s) if topic.ready else ''
+        problem = self._problem(topic, now_s) if topic.ready else ''
         message = topic.text
         if topic.ready:
-            message += f': {worry}' if worry else f': {self.rate_hz:.1f} Hz'
+            message += f': {problem}' if problem else f': {self.rate_hz:.1f} Hz'
         if lost:
             message += f'; {counted(lost, "message")} lost by DDS'
         first_ns, last_ns = buffer.span_ns or (0, 0)
@@ -79,15 +80,15 @@ class InputMonitor:
             'clock jumps': buffer.clock_jumps,
             'frame changes': buffer.frame_changes,
             'memory_mib': f'{buffer.nbytes / 2**20:.2f}',
-        }, level=OK if topic.ready and not worry else WARN)
+        }, level=OK if topic.ready and not problem else WARN)
 
     def new_refusals(self) -> str:
-        """Return the refused poses in words if there are new ones since the last call, or ''."""
+        """Return the refused poses in words, '' if none is new since the last call."""
         before, self._refused = self._refused, sum(self._buffer.refused.values())
         return self._buffer.refusals() if self._refused > before else ''
 
     def new_loss(self, now_s: float) -> str:
-        """Return what a clock that went back, or other frames, have cost since then, or ''."""
+        """Return the poses dropped by a clock jump or other frames since the last call, or ''."""
         buffer = self._buffer
         (jumps, changes, forgotten), self._losses = self._losses, (
             buffer.clock_jumps, buffer.frame_changes, buffer.forgotten)
@@ -106,8 +107,8 @@ class InputMonitor:
                           'clock of the sender')
         return self._loss
 
-    def _worry(self, topic: TopicStatus, now_s: float) -> str:
-        """Return what a person should look after, '' where all is well."""
+    def _problem(self, topic: TopicStatus, now_s: float) -> str:
+        """Return the problem of the input in words, '' if there is none."""
         if self._last_message_s is None:
             return 'no message yet. Does it publish?'
         silent = now_s - self._last_message_s
@@ -115,9 +116,9 @@ class InputMonitor:
             return f'no message for {silent:.0f} s'
         if self._buffer.messages and not len(self._buffer):
             return f'no pose can be used: {self._buffer.refusals()}'
-        if self._useless_since_s is not None and now_s - self._useless_since_s > _SILENT_S:
+        if self._unchanged_since_s is not None and now_s - self._unchanged_since_s > _SILENT_S:
             why = self._buffer.refusals() or 'the stamps jumped'
-            return f'no pose accepted for {now_s - self._useless_since_s:.0f} s: {why}'
+            return f'no pose accepted for {now_s - self._unchanged_since_s:.0f} s: {why}'
         # Poses that were forgotten are reported for a minute.
         if self._buffer.forgotten and now_s - self._lost_s < 60:
             return self._loss
@@ -125,16 +126,16 @@ class InputMonitor:
 
 
 class CalibrationView(NamedTuple):
-    """What the status of the calibration is made of."""
+    """The data of the status of the calibration."""
 
     state: CalibrationState
     motion: Motion
     advice: Advice | None
     # Wanted standard deviations, metres and degrees.
     limits: tuple[float, float]
-    # Time between the trajectories, negative where they overlap.
-    apart_s: float
-    # What is being solved, and what must come first; '' where nothing.
+    # Time between the trajectories, negative if they overlap.
+    gap_s: float
+    # The running calibration, and what must happen first; '' if none.
     solving: str
     waiting: str
     values: dict[str, object]
@@ -142,23 +143,23 @@ class CalibrationView(NamedTuple):
     @property
     def sentence(self) -> str:
         """Return the advice in one sentence."""
-        if self.apart_s > 0:
-            return (f'the stamps of a and b are {self.apart_s:.3f} s apart: correct the clocks, '
+        if self.gap_s > 0:
+            return (f'the stamps of a and b are {self.gap_s:.3f} s apart: correct the clocks, '
                     'or set time_offset')
         if len(self.motion) < FEWEST_S:
             return f'waiting for motion seen by both sensors: {len(self.motion)} s so far'
         if self.advice is None:
-            return 'judging the motion so far'
+            return 'evaluating the motion so far'
         return self.advice.sentence(*self.limits)
 
     def report(self, name: str, hardware_id: str) -> DiagnosticStatus:
         """Return it as a status."""
         state, result = self.state, self.state.result
         failed = state.last_failure and not state.has_moved_on(self.motion)
-        worry = '' if self.solving else state.last_failure if failed else self.waiting
-        # A restored answer, or one before a reset, says nothing about what is held.
-        news = 'calibrated' if state.calibrated and not state.last_failure else self.sentence
-        return _status(name, hardware_id, self.solving or worry or news, {
+        problem = '' if self.solving else state.last_failure if failed else self.waiting
+        # A restored answer, or one from before a reset, is not about the buffered poses.
+        current = 'calibrated' if state.calibrated and not state.last_failure else self.sentence
+        return _status(name, hardware_id, self.solving or problem or current, {
             **self.values,
             'advice': self.sentence,
             'last_failure': state.last_failure,
@@ -167,11 +168,11 @@ class CalibrationView(NamedTuple):
             **({} if result is None else {
                 'extrinsic': headline(result), 'standard_deviations': deviations(result),
                 'findings': ' '.join(finding.code for finding in result.findings)}),
-        }, level=WARN if worry else OK)
+        }, level=WARN if problem else OK)
 
 
 def _advice_values(advice: Advice | None) -> dict[str, object]:
-    """Return what a calibration would say now, about the axes of sensor a."""
+    """Return the predicted accuracy of a calibration now, along the axes of sensor a."""
     if advice is None or advice.std is None:
         return {}
     result, std = advice.result, advice.std
@@ -187,7 +188,7 @@ def _advice_values(advice: Advice | None) -> dict[str, object]:
 def monitor_report(
     name: str, hardware_id: str, verdict: MonitorVerdict | None,
 ) -> DiagnosticStatus:
-    """Return whether the published extrinsic still holds."""
+    """Return the status of the checks of the published extrinsic."""
     if verdict is None:
         return _status(name, hardware_id,
                        'not checked yet: waiting for an extrinsic, and for motion after it', {})
@@ -197,7 +198,7 @@ def monitor_report(
 
 
 def pairing_values(pairing: Pairing, result: CalibrationResult | None) -> dict[str, object]:
-    """Return where the poses of b fall now, and how the last calibration paired them."""
+    """Return the present association counts, and the association of the last calibration."""
     values: dict[str, object] = {
         'association: pairs': pairing.pairs,
         'association: in gaps': pairing.in_gaps,
@@ -224,9 +225,9 @@ def _status(
 
 
 def time_apart_s(a: PoseBuffer, b: PoseBuffer, time_offset_s: float) -> float:
-    """Return the seconds between the spans of two buffers, negative where they overlap.
+    """Return the seconds between the spans of two buffers, negative if they overlap.
 
-    ``time_offset_s`` is added to the stamps of b; where a buffer is empty, the answer is 0.
+    ``time_offset_s`` is added to the stamps of b. If a buffer is empty, 0 is returned.
     """
     span_a, span_b = a.span_ns, b.span_ns
     if span_a is None or span_b is None:

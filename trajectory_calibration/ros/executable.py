@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The executable ``calibration_node``: the node, its usage, or what to do where ROS is missing.
+"""The executable ``calibration_node``: runs the node, or prints its usage or that ROS is missing.
 
-Nothing here loads ROS or anything that takes time before the signals are heard.
+ROS and other slow imports are loaded only after the signal handlers are installed.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ publishes   ~/extrinsic  ~/extrinsic_with_covariance  ~/result  /diagnostics, an
 
 
 class StopSignals:
-    """Turns SIGINT, SIGTERM and SIGHUP, which a terminal that closes sends, into a flag.
+    """Converts SIGINT, SIGTERM and SIGHUP (closed terminal) into a flag.
 
     The handlers of rclpy race with the executor: some runs hang, some end in a traceback. A flag
-    that the loop reads ends every run the same way.
+    that the loop checks always ends the same way.
     """
 
     def __init__(self) -> None:
         self.received = False
         self._numbers = [signal.SIGINT, signal.SIGTERM]
-        # nohup has it ignored: the node is to outlive its terminal.
+        # Under nohup it is ignored, so that the node survives its terminal.
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
             self._numbers.append(signal.SIGHUP)
         for number in self._numbers:
             signal.signal(number, self._on_signal)
 
     def ignore(self) -> None:
-        """Ignore the signals from now on: the process ends by itself.
+        """Ignore the signals from now on, while the process exits.
 
-        Python takes its handlers away before it has ended. A second signal then, as an impatient
-        person sends, would be the end of the process and its status.
+        Python removes its handlers before it has exited. A second Ctrl-C at that time would kill
+        the process, and its exit status would be lost.
         """
         for number in self._numbers:
             signal.signal(number, signal.SIG_IGN)
@@ -62,8 +62,8 @@ class StopSignals:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node; return its exit status, 2 where ROS cannot be imported."""
-    # Before the imports, which take longer than everything else up to the first pose.
+    """Run the node; return its exit status, 2 if ROS cannot be imported."""
+    # Before the imports, which take most of the startup time.
     stop = StopSignals()
     try:
         return _run(stop, sys.argv[1:] if argv is None else argv)

@@ -1,8 +1,8 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The transforms of the vehicle: what is heard on /tf and /tf_static, and what is published.
+"""The transforms of the vehicle: receive /tf and /tf_static, and publish the extrinsic.
 
-``tf2_msgs`` is loaded here, and only where it is needed: it is not in rclpy's wheels.
+``tf2_msgs`` is imported only if needed, because rclpy's wheels do not include it.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ _STATIC = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class VehicleTransforms:
-    """Listens to /tf_static, and to /tf where that is needed; publishes where it may.
+    """Listens to /tf_static, and to /tf if needed; publishes the extrinsic on /tf_static.
 
     Attributes
     ----------
-    followers : get every transform, too.
-    placed : what became of the newest answer in TF, '' where TF is none of its business.
+    followers : also receive every transform.
+    placed : whether and how the newest answer is in TF, in words, '' without ``publish``.
 
     Raises
     ------
@@ -46,12 +46,12 @@ class VehicleTransforms:
         self._node = node
         self._frames = VehicleFrames()
         self.followers: list[ChainFollower] = []
-        # Messages since the last update, and whether their transforms are static.
-        self._heard: dict[bool, list[bytes]] = {True: [], False: []}
-        self._since_s = time.monotonic()
+        # Whether static -> messages since the last update.
+        self._messages: dict[bool, list[bytes]] = {True: [], False: []}
+        self._listening_since_s = time.monotonic()
         self._publisher = None
-        # The newest answer until the node has listened, and its frames that nobody named.
-        self._waiting: tuple[CalibrationResult, frozenset[str]] | None = None
+        # The newest answer that is not yet published, and its frames named after topics.
+        self._pending: tuple[CalibrationResult, frozenset[str]] | None = None
         self._conflicts: tuple[str, ...] = ()
         self.placed = ''
         try:
@@ -64,29 +64,29 @@ class VehicleTransforms:
                     'ros-jazzy-tf2-msgs') from error
             return
         self._message_type: Any = TFMessage
-        subscribe(node, TFMessage, '/tf_static', self._heard[True].append, _STATIC)
+        subscribe(node, TFMessage, '/tf_static', self._messages[True].append, _STATIC)
         if publish or moving:
             subscribe(
-                node, TFMessage, '/tf', self._heard[False].append, QoSProfile(depth=depth))
+                node, TFMessage, '/tf', self._messages[False].append, QoSProfile(depth=depth))
         if publish:
             self._publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
 
     def take(self, result: CalibrationResult, invented: frozenset[str]) -> None:
-        """Take a new answer; ``invented`` are names of frames that nobody gave."""
+        """Publish a new answer later; ``invented`` are frames that are named after topics."""
         if self._publisher is not None:
-            self._waiting = result, invented
+            self._pending = result, invented
             self.placed = 'not on /tf_static yet: listening first to what the vehicle publishes'
-            self.settle()
+            self.publish_pending()
 
     def reset(self) -> None:
-        """Have the followers begin anew, so that no pose from before comes out later."""
-        self._heard[False].clear()
+        """Restart the followers, so that they give no poses from before the reset."""
+        self._messages[False].clear()
         for follower in self.followers:
             follower.restart()
 
     def update(self) -> None:
-        """Take what has come since the last call; what is damaged is left out."""
-        for static, messages in self._heard.items():
+        """Process the messages since the last call; damaged ones are ignored."""
+        for static, messages in self._messages.items():
             runs, _ = parse_poses(messages, TF)
             messages.clear()
             for follower in self.followers:
@@ -95,18 +95,18 @@ class VehicleTransforms:
                 if static and len(usable := run.poses[~np.any(pose_faults(run.poses), axis=0)]):
                     self._frames.add(*run.frames, matrices(usable[-1:])[0], static=True)
                 elif self._publisher and not static:
-                    # Of one that moves it matters only between which frames it is.
+                    # Of a non-static transform only the frames matter.
                     self._frames.add(*run.frames, np.eye(4), static=False)
 
-    def settle(self) -> None:
-        """Publish what waits, once the vehicle has been heard; log what is wrong in TF."""
+    def publish_pending(self) -> None:
+        """Publish the pending answer after listening long enough; log conflicts in TF."""
         self.update()
         if self._publisher is None:
             return
         error = self._node.get_logger().error
         # Discovery takes up to 3 seconds.
-        if self._waiting and time.monotonic() - self._since_s >= 4:
-            (result, invented), self._waiting = self._waiting, None
+        if self._pending and time.monotonic() - self._listening_since_s >= 4:
+            (result, invented), self._pending = self._pending, None
             edge, reason = self._frames.place(
                 result.frame_a, result.frame_b, result.T_a_b, invented)
             if edge is None:
@@ -127,7 +127,7 @@ class VehicleTransforms:
         self._conflicts = conflicts
 
     def today(self, result: CalibrationResult | None) -> str:
-        """Return how far an answer is from the transform that the vehicle has itself."""
+        """Return the difference of an answer from the vehicle's own transform in words, or ''."""
         T_today = result and self._frames.transform(result.frame_a, result.frame_b)
         if T_today is None:
             return ''

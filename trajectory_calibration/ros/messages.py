@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of what the node receives and publishes: their types, and how they are filled."""
+"""The messages that the node receives and publishes."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ MESSAGE_TYPES = {
     PATH: Path,
 }
 
-# The newest value for whoever comes later.
+# The newest value for late subscribers.
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class ResultPublisher:
-    """Publishes results of one node; what goes to TF is another matter, see ``frames``."""
+    """Publishes the results of one node on its topics; for TF see ``frames``."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -69,7 +69,7 @@ class ResultPublisher:
                 ('markers', MarkerArray))}
 
     def publish(self, result: CalibrationResult, overlay: Overlay | None) -> None:
-        """Publish an answer; without an overlay, as after a restart, no tracks."""
+        """Publish an answer; its tracks only with an overlay, which a restored one lacks."""
         stamp: Time = self._node.get_clock().now().to_msg()
         messages = {
             'extrinsic': to_transform_stamped(
@@ -89,15 +89,15 @@ def subscribe(
     node: Node, kind: Any, topic: str, take: Callable[[bytes], None], profile: QoSProfile,
     on_lost: Callable[[QoSMessageLostInfo], None] | None = None,
 ) -> Subscription:
-    """Have every serialized message taken; ``on_lost`` hears of those that DDS says it lost.
+    """Call ``take`` with every serialized message, ``on_lost`` for messages lost by DDS.
 
-    All that wait are taken together. An executor of rclpy takes one each time it wakes, and to
-    wake costs ten times what a pose does: two topics of 200 Hz took a fifth of a core.
+    All queued messages are taken together. The executor of rclpy takes one per wake-up, which
+    costs ten times as much as a pose: two topics of 200 Hz took a fifth of a core.
     """
     def take_all(message: bytes) -> None:
         take(message)
         with subscription.handle:
-            # No more than the queue holds, so that a flood does not hold up the rest.
+            # At most the queue depth, so that a flood does not block other callbacks.
             for _ in range(profile.depth):
                 # As rclpy.wait_for_message does.
                 taken = subscription.handle.take_message(kind, subscription.raw)
@@ -114,7 +114,7 @@ def subscribe(
 def to_transform_stamped(
     parent: str, child: str, T_parent_child: FloatArray, stamp: Time,
 ) -> TransformStamped:
-    """Return a (4, 4) transform from a frame to its child as a message."""
+    """Return the message of a (4, 4) transform, the pose of the child in the parent."""
     pose, = _poses(T_parent_child[np.newaxis])
     t = pose.position
     return TransformStamped(
@@ -131,7 +131,7 @@ def _to_pose_with_covariance(result: CalibrationResult, stamp: Time) -> PoseWith
 
 
 def _to_path(poses: FloatArray, overlay: Overlay) -> Path:
-    """Return (K, 4, 4) poses of an overlay as a path in its world."""
+    """Return (K, 4, 4) poses of an overlay as a Path in its world frame."""
     stamped = []
     for stamp_ns, pose in zip(overlay.stamps_ns.tolist(), _poses(poses), strict=True):
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
@@ -141,10 +141,10 @@ def _to_path(poses: FloatArray, overlay: Overlay) -> Path:
 
 
 def _to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> MarkerArray:
-    """Return lines between what a and b say at the same time, and the answer as a text."""
+    """Return lines between simultaneous positions from a and b, and their RMS distance as text."""
     header = Header(stamp=stamp, frame_id=overlay.world_frame)
     ends = np.stack([overlay.poses_a[:, :3, 3], overlay.poses_b[:, :3, 3]], axis=1)
-    apart = np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1)))
+    rms_distance = np.sqrt(np.mean(np.sum((ends[:, 0] - ends[:, 1])**2, axis=1)))
     lines = Marker(header=header, ns='disagreement', type=Marker.LINE_LIST)
     lines.scale.x = 0.01
     lines.color = ColorRGBA(r=0.9, g=0.2, b=0.1, a=0.9)
@@ -154,7 +154,7 @@ def _to_markers(result: CalibrationResult, overlay: Overlay, stamp: Time) -> Mar
     text.pose.position = Point(x=x, y=y, z=z + 1)
     text.scale.z = 0.5
     text.color = ColorRGBA(r=1.0, g=1.0, b=1.0, a=1.0)
-    text.text = f'{result.frame_a} -> {result.frame_b}: tracks {apart:.3f} m apart (rms)'
+    text.text = f'{result.frame_a} -> {result.frame_b}: tracks {rms_distance:.3f} m apart (rms)'
     return MarkerArray(markers=[lines, text])
 
 

@@ -52,10 +52,10 @@ from trajectory_calibration.time_alignment.pairing import is_sparser
 
 NODE_NAME = 'trajectory_calibration'
 
-# How often the log speaks of bad poses.
+# Shortest time between two log messages on refused poses, seconds.
 _REFUSAL_LOG_S = 10.0
-# How often the log says which topics are waited for.
-_WAITING_AGAIN_S = 30.0
+# Time between two log messages on topics without a message, seconds.
+_WAITING_LOG_S = 30.0
 
 
 class CalibrationNode(Node):
@@ -99,18 +99,18 @@ class CalibrationNode(Node):
             for side, buffer, name in zip(
                 'ab', self._session.buffers, self._session.names, strict=True)]
         self._refusals_logged_s = 0.0
-        # For the first time after 3 seconds.
-        self._waiting_logged_s = started_s - _WAITING_AGAIN_S + 3
+        # The first one is after 3 seconds.
+        self._waiting_logged_s = started_s - _WAITING_LOG_S + 3
 
         self._state = CalibrationState()
         self._solved = self.create_guard_condition(self._on_solved)
         self._solver: SolverProcess[Calibration] = SolverProcess(done=self._solved.trigger)
         self._answer: Future | None = None
-        # Whether a caller of ~/calibrate waits.
-        self._called = False
-        self._judged = self.create_guard_condition(self._on_judged)
+        # Whether a call of ~/calibrate is pending.
+        self._call_pending = False
+        self._background_done = self.create_guard_condition(self._on_background_done)
         self._background = Background(
-            self._session, self._judged.trigger, started_s,
+            self._session, self._background_done.trigger, started_s,
             Monitor(values['monitor_period'], values['monitor_window'])
             if values['monitor'] else None)
 
@@ -119,24 +119,24 @@ class CalibrationNode(Node):
             if values['result_directory'] else None)
         self._publisher = ResultPublisher(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # A call that waits for the solver must not hold up its neighbours.
+        # A call that waits for the solver must not block the other services.
         group = ReentrantCallbackGroup()
         for name, callback in (('calibrate', self._on_calibrate), ('reset', self._on_reset),
                                ('save', self._on_save)):
             self.create_service(Trigger, f'~/{name}', callback, callback_group=group)
-        # Steady: with use_sim_time the node's own clock stands still until a bag plays.
+        # Steady, because with use_sim_time the node's clock does not advance until a bag plays.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.2, self._watch, clock=steady)
+        self.create_timer(0.2, self._update_inputs, clock=steady)
         self.create_timer(values['diagnostic_updater.period'], self._report, clock=steady)
         self._restored = self._find_restored() if values['restore'] else None
-        self._offer_restored()
+        self._publish_restored()
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any,
     ) -> Subscription:
-        """Subscribe as any node does, but outlive what rclpy cannot take on ``/clock``."""
+        """Subscribe, and catch the errors of rclpy for invalid messages on ``/clock``."""
         def take_time(message: Any) -> None:
-            # rclpy raises for negative seconds, out of the executor.
+            # rclpy raises for negative seconds, which would end the executor.
             try:
                 callback(message)
             except ValueError as error:
@@ -146,33 +146,33 @@ class CalibrationNode(Node):
         return super().create_subscription(
             msg_type, topic, take_time if topic == CLOCK_TOPIC else callback, *args, **kwargs)
 
-    def take_leave(self, executor: SingleThreadedExecutor) -> None:
-        """Stop a running calibration and answer its caller."""
+    def finish_calls(self, executor: SingleThreadedExecutor) -> None:
+        """Stop a running calibration and respond to its caller."""
         self._solver.cancel('stopped: the node is shutting down')
         deadline_s = time.monotonic() + 0.5
-        while self._called and time.monotonic() < deadline_s:
+        while self._call_pending and time.monotonic() < deadline_s:
             executor.spin_once(timeout_sec=0.05)
 
     def shutdown(self) -> None:
-        """Stop what runs and destroy the node."""
+        """Stop the solver processes and destroy the node."""
         self._solver.shutdown()
         self._background.shutdown()
         self.destroy_node()
 
     def _status_name(self, part: str) -> str:
-        """Return the name of a status as diagnostic_updater writes it.
+        """Return the name of a status in the format of diagnostic_updater.
 
-        In a namespace with the full name of the node, as with its ``use_fqn``: two pairs of
-        sensors are two nodes of one name.
+        In a namespace it has the full node name, as with ``use_fqn``, because two pairs of
+        sensors are two nodes with the same name.
         """
         full = self.get_fully_qualified_name()
         return f'{full if self.get_namespace() != "/" else self.get_name()}: {part}'
 
-    def _watch(self) -> None:
+    def _update_inputs(self) -> None:
         for item in self._inputs:
             item.update()
-        self._offer_restored()
-        self._tf.settle()
+        self._publish_restored()
+        self._tf.publish_pending()
 
     async def _on_calibrate(
         self, _: Trigger.Request, response: Trigger.Response,
@@ -180,16 +180,16 @@ class CalibrationNode(Node):
         if self._solver.busy:
             response.message = 'busy: a calibration is running; call again when it has answered'
             return response
-        self._answer, self._called = Future(), True
+        self._answer, self._call_pending = Future(), True
         self._start_solver(self._settings.values())
         response.success, response.message = await self._answer
-        self._called = False
+        self._call_pending = False
         return response
 
     def _start_solver(self, values: Mapping[str, Any]) -> None:
         for item in self._inputs:
             item.update()
-        # It computes the same, and the caller waits.
+        # The background computes the same, and the caller waits.
         self._background.stop('a calibration was called for')
         self._state.started(self._measure(values))
         job = self._session.job(to_config(values), _frames(values))
@@ -199,7 +199,7 @@ class CalibrationNode(Node):
         poses_a, poses_b = map(len, self._session.buffers)
         self._solver.cancel('stopped by a reset')
         if self._solver.busy:
-            # Now, so that a call right after this one does not find it busy.
+            # Done now, so that the solver is not busy for a call right after this one.
             self._answer_call()
         self._background.reset()
         self._tf.reset()
@@ -222,7 +222,7 @@ class CalibrationNode(Node):
         return response
 
     def _save(self, result: CalibrationResult, *, exports: bool = False) -> tuple[bool, str]:
-        """Save a result; return whether that succeeded, and a sentence."""
+        """Save a result; return whether it succeeded, and a sentence."""
         saved = 'not saved'
         try:
             path = self._store.save(result)
@@ -236,7 +236,7 @@ class CalibrationNode(Node):
         return True, saved
 
     def _find_restored(self) -> Restored | None:
-        """Return the newest saved result; a vehicle without one starts all the same."""
+        """Return the newest saved result; without one, log it and return None."""
         try:
             found = self._store.latest()
         except ResultError as error:
@@ -247,8 +247,8 @@ class CalibrationNode(Node):
             self.get_logger().warning('nothing restored: result_directory holds no result yet')
         return found
 
-    def _offer_restored(self) -> None:
-        """Publish the restored result as soon as its frames are those of the vehicle."""
+    def _publish_restored(self) -> None:
+        """Publish the restored result once its frames match those of the vehicle."""
         if self._restored is None or self._state.result is not None:
             return
         refusal = self._restored.compare(
@@ -272,16 +272,16 @@ class CalibrationNode(Node):
         self._tf.take(result, self._session.invented(_frames(self._settings.values())))
 
     def _on_solved(self) -> None:
-        # Unless a reset was faster.
+        # A reset may have taken the outcome already.
         if self._solver.ready:
             self._answer_call()
 
     def _answer_call(self) -> None:
-        """Publish what the solver found and answer the call that waits for it."""
+        """Publish the outcome of the solver and respond to the pending call."""
         outcome = self._solver.take_outcome()
         failure = outcome.refusal if isinstance(outcome, Calibration) else str(outcome)
         if isinstance(outcome, StoppedError):
-            # Not a failure: whoever stopped it knows.
+            # Not a failure, because it was stopped on request.
             self.get_logger().info(f'calibration {failure}')
             answer = False, failure
         elif failure:
@@ -299,8 +299,8 @@ class CalibrationNode(Node):
             self._answer.set_result(answer)
             self._answer = None
 
-    def _on_judged(self) -> None:
-        """Take what the background found; say in the log when the extrinsic no longer holds."""
+    def _on_background_done(self) -> None:
+        """Take the outcome of the background; log a warning if the extrinsic has changed."""
         before = self._background.verdict
         self._background.take(time.monotonic())
         verdict = self._background.verdict
@@ -318,7 +318,7 @@ class CalibrationNode(Node):
         self._log_waiting(statuses, now_s)
         values = self._settings.values()
         motion = self._measure(values)
-        self._judge(values, motion, now_s)
+        self._update_advice(values, motion, now_s)
         hardware_id = ', '.join(status.hardware_id for status in statuses)
         statuses.append(self._view(values, motion, now_s).report(
             self._status_name('calibration'), hardware_id))
@@ -335,8 +335,8 @@ class CalibrationNode(Node):
                     self.get_logger().warning(f'{monitor.name}: {refusals}')
 
     def _log_waiting(self, statuses: Sequence[DiagnosticStatus], now_s: float) -> None:
-        """Say in the log which topics are waited for: early, and again now and then."""
-        if now_s - self._waiting_logged_s < _WAITING_AGAIN_S:
+        """Log topics without a message, soon after the start and then periodically."""
+        if now_s - self._waiting_logged_s < _WAITING_LOG_S:
             return
         self._waiting_logged_s = now_s
         for buffer, status in zip(self._session.buffers, statuses, strict=True):
@@ -348,8 +348,8 @@ class CalibrationNode(Node):
         offset_s = self._state.time_offset_s(values['time_offset'])
         return measure(self._session.buffers, (0, round(offset_s * 1e9)))
 
-    def _judge(self, values: Mapping[str, Any], motion: Motion, now_s: float) -> None:
-        """Have the advice kept up to date, and calibrate where it says so and is asked to."""
+    def _update_advice(self, values: Mapping[str, Any], motion: Motion, now_s: float) -> None:
+        """Update the advice; with ``auto_calibrate``, calibrate when the motion is sufficient."""
         if self._solver.busy:
             return
         self._background.poll(motion, to_config(values), _frames(values),
@@ -363,17 +363,17 @@ class CalibrationNode(Node):
     def _view(self, values: Mapping[str, Any], motion: Motion, now_s: float) -> CalibrationView:
         a, b = self._session.buffers
         offset_s = self._state.time_offset_s(values['time_offset'])
-        apart_s = time_apart_s(a, b, offset_s)
+        gap_s = time_apart_s(a, b, offset_s)
         solving = '' if not self._solver.busy else (
             f'calibrating for {now_s - self._solver.started_s:.0f} s, at most '
             f'{values["calibration_timeout"]:g} s')
         result = self._state.result
         return CalibrationView(
-            self._state, motion, self._background.advice, _limits(values), apart_s, solving,
+            self._state, motion, self._background.advice, _limits(values), gap_s, solving,
             self._state.not_restored if self._restored is None else self._restored.waiting,
             {
                 'solver': values['solver'],
-                'overlap_s': f'{max(0.0, -apart_s):.3f}',
+                'overlap_s': f'{max(0.0, -gap_s):.3f}',
                 'time_offset': f'{values["time_offset"]:.4f}',
                 'clock_offset_s': self._state.found_offset(),
                 **pairing_values(count_pairs(

@@ -26,10 +26,10 @@ from trajectory_calibration.online.options import (
 
 
 class NodeParameters:
-    """The parameters of a node, declared and kept valid.
+    """Declares and validates the parameters of a node.
 
-    ``node`` must have been made with ``automatically_declare_parameters_from_overrides``: that is
-    how a misspelt name in a parameter file becomes an error instead of being ignored.
+    ``node`` must be created with ``automatically_declare_parameters_from_overrides``, so that a
+    misspelt name in a parameter file is an error and not ignored.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class NodeParameters:
         node.add_on_set_parameters_callback(self._on_set)
 
     def values(self) -> dict[str, Any]:
-        """Return all values as they are now, each in its type."""
+        """Return all current values, each in its type."""
         return {name: option.check(self._node.get_parameter(name).value)
                 for name, option in OPTIONS.items()}
 
@@ -65,7 +65,7 @@ class NodeParameters:
 
 
 def _descriptor(option: Option) -> ParameterDescriptor:
-    """Describe an option to ROS tools; typed dynamically, so that 1 serves where 1.0 is meant."""
+    """Return the descriptor of an option; with dynamic typing, so that 1 is valid for 1.0."""
     descriptor = ParameterDescriptor(
         description=option.help, read_only=option.name in FIXED_NAMES, dynamic_typing=True,
         additional_constraints=f'one of {", ".join(option.choices)}' if option.choices else '')

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The process of the node: from the ROS arguments to its end by a signal."""
+"""The process of the node: initialise ROS, spin until a signal, shut down."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rclpy.utilities import get_default_context
 from trajectory_calibration.errors import ConfigError
 from trajectory_calibration.ros.node import CalibrationNode, NODE_NAME
 
-# Beyond it DDS runs out of ports, and Fast DDS ends the process itself.
+# Above it DDS has no ports, and Fast DDS aborts the process.
 _HIGHEST_DOMAIN = 232
 
-# Between two callbacks: what comes meanwhile is taken together.
-_REST_S = 0.02
+# Pause between two callbacks, seconds; messages that arrive meanwhile are taken together.
+_PAUSE_S = 0.02
 
 
 def _init() -> None:
@@ -43,8 +43,8 @@ def main(stopped: Callable[[], bool]) -> int:
         executor.add_node(node)
         while rclpy.ok() and not stopped():
             executor.spin_once(timeout_sec=0.2)
-            time.sleep(_REST_S)
-        node.take_leave(executor)
+            time.sleep(_PAUSE_S)
+        node.finish_calls(executor)
         executor.shutdown()
     except ConfigError as error:
         get_logger(NODE_NAME).fatal(str(error))

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""A subscription that finds its type and its quality of service from the publishers."""
+"""Inputs of the node. Message type and quality of service are taken from the publishers."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from trajectory_calibration.sources.transforms import ChainFollower
 
 
 class TopicStatus(NamedTuple):
-    """What a person should know about one input."""
+    """The state of one input in words."""
 
     text: str
-    # Whether messages can arrive, and what to check although they do.
+    # Whether messages can arrive, and what to check even then.
     ready: bool = False
     doubt: str = ''
 
 
 class TrajectorySubscription:
-    """One input of the node: watches a topic and fills a buffer from it.
+    """One input of the node: subscribes to a topic and fills a buffer.
 
-    ``msgtype`` None takes what the publishers offer; ``depth`` messages of single poses may wait
-    while the node is busy. ``lost`` counts the messages that DDS says it lost.
+    ``msgtype`` None selects the type of the publishers. ``depth`` is the queue depth, for Paths
+    1. ``lost`` counts the messages reported as lost by DDS.
     """
 
     def __init__(
         self, node: Node, topic: str, msgtype: str | None, buffer: PoseBuffer, depth: int,
     ) -> None:
-        # ROS remaps whatever name it is given, so it gets the one before; people get the other.
+        # ROS remaps the given name itself, so it gets the original; messages show the resolved.
         self._node, self._name, self._wanted = node, topic, msgtype
         self._topic = resolve_topic(node, topic)
         self._buffer, self._depth = buffer, depth
@@ -55,7 +55,7 @@ class TrajectorySubscription:
         self.status = TopicStatus(f'waiting for a publisher on {self._topic}')
 
     def update(self) -> None:
-        """Look at the publishers and subscribe, or subscribe anew, as they require."""
+        """Subscribe, or subscribe again, if the publishers require it."""
         publishers = self._node.get_publishers_info_by_topic(self._name)
         if not publishers:
             self.status = TopicStatus(
@@ -70,22 +70,22 @@ class TrajectorySubscription:
                 f'{self._topic} carries {" and ".join(offered)}, the type parameter says '
                 f'{msgtype}; correct it, or set auto')
             return
-        profile = self._fitting_profile(
+        profile = self._choose_profile(
             msgtype, [publisher for publisher in publishers if publisher.topic_type == msgtype])
         if msgtype != self._msgtype or profile != self._profile:
             self._subscribe(msgtype, profile)
         self.status = TopicStatus(
             f'{msgtype} on {self._topic}', ready=True, doubt=_doubt(publishers))
 
-    def _fitting_profile(
+    def _choose_profile(
         self, msgtype: str, publishers: Sequence[TopicEndpointInfo],
     ) -> QoSProfile:
-        # Each Path replaces the one before: those that wait only cost memory and time.
+        # Each Path replaces the previous one, so queued ones only cost memory and time.
         profile = _matching_profile(publishers, 1 if msgtype == PATH else self._depth)
         if msgtype != self._msgtype or msgtype == PATH or self._profile is None:
             return profile
-        # What publishers keep for latecomers has come already: a second time, it would be a
-        # clock that went back. Without it, the profile fits such publishers, too.
+        # Messages kept for late subscribers were received already. Received again, they would
+        # look like a clock jump. A volatile subscription matches such publishers, too.
         if (profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
                 and profile.reliability == self._profile.reliability):
             return self._profile
@@ -96,7 +96,7 @@ class TrajectorySubscription:
         self.lost += event.total_count_change
 
     def _only_type(self, offered: Sequence[str]) -> str | None:
-        """Return the one usable type on offer, or say in the status why there is none."""
+        """Return the only usable type, or None with the reason in the status."""
         usable = [name for name in offered if name in MESSAGE_TYPES]
         if len(usable) == 1:
             return usable[0]
@@ -110,7 +110,7 @@ class TrajectorySubscription:
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         if self._msgtype is not None and msgtype != self._msgtype:
-            # Another kind of message is another source: its poses do not continue the old ones.
+            # Another message type is another source, whose poses do not continue the old ones.
             self._buffer.clear()
         self._msgtype, self._profile = msgtype, profile
         self._subscription = subscribe(
@@ -123,7 +123,7 @@ class TrajectorySubscription:
 class TransformSubscription:
     """One input of the node that is a pair of frames of /tf, ``tf:map.base_link``."""
 
-    # Of /tf nobody counts the messages that are lost.
+    # Lost messages of /tf are not counted.
     lost = 0
 
     def __init__(
@@ -137,7 +137,7 @@ class TransformSubscription:
         self.status = TopicStatus(f'waiting for {name}')
 
     def update(self) -> None:
-        """Take the poses that became known since the last call."""
+        """Append the new poses since the last call to the buffer."""
         self._transforms.update()
         stamps_ns, poses, refused = self._follower.take()
         self._buffer.count_refused(refused)
@@ -150,7 +150,7 @@ class TransformSubscription:
 
 
 def resolve_topic(node: Node, topic: str) -> str:
-    """Return the full name of a topic after ROS has remapped it; ConfigError if it is none."""
+    """Return the full name of a topic after remapping; raise ConfigError if it is invalid."""
     try:
         return node.resolve_topic_name(topic)
     except RuntimeError as error:
@@ -158,7 +158,7 @@ def resolve_topic(node: Node, topic: str) -> str:
 
 
 def _doubt(publishers: Sequence[TopicEndpointInfo]) -> str:
-    """Ask about several publishers: two odometries mixed look like one that jumps."""
+    """Return a question if there are several publishers: two mixed odometries look like jumps."""
     if len(publishers) < 2:
         return ''
     nodes = sorted(f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
@@ -168,7 +168,7 @@ def _doubt(publishers: Sequence[TopicEndpointInfo]) -> str:
 
 
 def _matching_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:
-    """Return the most that all publishers offer: reliable, and what they keep for latecomers."""
+    """Return the strongest profile that all publishers offer: reliable, transient local."""
     profiles = [publisher.qos_profile for publisher in publishers]
     reliable = all(item.reliability == ReliabilityPolicy.RELIABLE for item in profiles)
     latched = all(item.durability == DurabilityPolicy.TRANSIENT_LOCAL for item in profiles)
