@@ -21,7 +21,7 @@ from trajectory_calibration.errors import ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.online.answer import describe
 from trajectory_calibration.outputs.extrinsic_file import read_extrinsic
-from trajectory_calibration.outputs.screen import deviation_words, format_result
+from trajectory_calibration.outputs.screen import format_result, std_texts
 from trajectory_calibration.sources.files import FileSource
 
 SOLVER = ('--solver', 'taylor', '--reference', 'B5')
@@ -107,7 +107,7 @@ def test_verbose_tells_the_rest_and_quiet_the_transform_alone(files, capsys):
     ([10.0013, 11690.4, np.nan, 583.8, np.pi, np.nan], ['unknown'] * 6)])
 def test_a_deviation_that_means_nothing_is_known_is_no_number(files, sigma, words):
     covariance = np.diag(np.square(sigma))
-    assert deviation_words(covariance) == words
+    assert std_texts(covariance) == words
     a, b = (FileSource(name).load() for name in map(Path, files[:2]))
     result = replace(calibrate(a, b, CalibrationConfig(solver='taylor', reference='B5')),
                      covariance=covariance)

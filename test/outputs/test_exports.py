@@ -214,7 +214,7 @@ def sampled(P, T, change):
     return np.cov(se3.step_between(change(T), moved).T)
 
 
-@pytest.mark.parametrize('which', ['inverted', 'under', 'holding'])
+@pytest.mark.parametrize('which', ['inverted', 'with_parent', 'with_child'])
 def test_a_covariance_moves_with_the_frames(which):
     rng = np.random.default_rng(1)
     T, other = random_pose(rng), random_pose(rng)
@@ -223,8 +223,8 @@ def test_a_covariance_moves_with_the_frames(which):
     placed = Placement('a', 'b', T, P)
     found, change = {
         'inverted': (placed.inverted(), se3.inverse),
-        'under': (placed.under('base', other), lambda X: other @ X),
-        'holding': (placed.holding('link', other), lambda X: X @ se3.inverse(other)),
+        'with_parent': (placed.with_parent('base', other), lambda X: other @ X),
+        'with_child': (placed.with_child('link', other), lambda X: X @ se3.inverse(other)),
     }[which]
     np.testing.assert_allclose(found.T_parent_child, change(T), atol=1e-14)
     spread = sampled(P, T, change)

@@ -130,8 +130,8 @@ def _placed(item: Placement, arguments: argparse.Namespace) -> Placement:
             raise ConfigError(
                 f'--{end} {frame} needs the pose of {sensor} in it: --{end}-transform '
                 'x,y,z,roll,pitch,yaw, or --parent-urdf FILE')
-        item = (item.under(frame, T_frame_sensor) if end == 'parent'
-                else item.holding(frame, T_frame_sensor))
+        item = (item.with_parent(frame, T_frame_sensor) if end == 'parent'
+                else item.with_child(frame, T_frame_sensor))
     joint = None if tree is None else tree.joints.get(item.child)
     parent = joint.parent if joint else ''
     if parent not in ('', item.parent):

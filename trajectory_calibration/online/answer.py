@@ -9,7 +9,7 @@ import json
 import numpy as np
 
 from trajectory_calibration.online.options import in_node_words
-from trajectory_calibration.outputs.screen import deviation_words, transform_words
+from trajectory_calibration.outputs.screen import std_texts, transform_texts
 from trajectory_calibration.result import CalibrationResult
 
 # Before each line except the first. ``ros2 service call`` prints a line break as the two
@@ -19,7 +19,7 @@ _NEXT_LINE = '\n - '
 
 def headline(result: CalibrationResult) -> str:
     """Return the extrinsic in one line; 'unknown' for unobservable components."""
-    words = transform_words(result, 4, 5)
+    words = transform_texts(result, 4, 5)
     return (f'{result.frame_a} -> {result.frame_b}: translation [{", ".join(words[:3])}] m, '
             f'rotation xyzw [{", ".join(words[3:])}]')
 
@@ -28,7 +28,7 @@ def deviations(result: CalibrationResult) -> str:
     """Return the standard deviations in one line, '' if the solver gave none."""
     if result.covariance is None:
         return ''
-    words = deviation_words(result.covariance)
+    words = std_texts(result.covariance)
     return f'[{", ".join(words[:3])}] m, about xyz [{", ".join(words[3:])}] deg'
 
 

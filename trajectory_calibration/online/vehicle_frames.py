@@ -22,7 +22,7 @@ import numpy as np
 
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.frame_tree import between, TreeEdge, upwards
+from trajectory_calibration.outputs.frame_tree import ancestors, relative_pose, TreeEdge
 
 # With more frames, such as one per tracked object, the least recently moved are dropped.
 _MOST_FRAMES = 1000
@@ -89,7 +89,7 @@ class VehicleFrames:
         """
         if frame_a == frame_b:
             return None
-        found = between(self._edges, frame_a, frame_b)
+        found = relative_pose(self._edges, frame_a, frame_b)
         return found[0] if found is not None and found[1] is None else None
 
     def place(
@@ -102,20 +102,20 @@ class VehicleFrames:
         for name, setting in ((frame_a, 'frame_a'), (frame_b, 'frame_b')):
             if name in invented:
                 return Carrier(None, f'the messages name no frame for {name}; set {setting}')
-        found = between(self._edges, frame_a, frame_b)
+        found = relative_pose(self._edges, frame_a, frame_b)
         if found is not None:
             remedy = (
                 'correct that transform, for instance in the URDF, instead of adding a second'
                 if found[1] is None else
                 'a SLAM or an odometry publishes it: switch off the TF of one of the two')
-            path = ' <- '.join(name for name, _, _ in upwards(self._edges, frame_b))
+            path = ' <- '.join(name for name, _, _ in ancestors(self._edges, frame_b))
             return Carrier(None, (
                 f'the vehicle already connects {frame_a} and {frame_b} ({path}); {remedy}'))
         if frame_b not in self._edges:
             return Carrier(TreeEdge(frame_a, frame_b, T_a_b))
         has_parent = f'{frame_b} already has the parent {self._edges[frame_b].parent}'
         # The highest frame that is fixed to b.
-        top, T_top_b, _ = [item for item in upwards(self._edges, frame_b) if item[2] is None][-1]
+        top, T_top_b, _ = [item for item in ancestors(self._edges, frame_b) if item[2] is None][-1]
         if frame_a not in self._edges:
             edge = TreeEdge(top, frame_a, T_top_b @ se3.inverse(T_a_b))
         elif top not in self._edges:

@@ -1,3 +1,3 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What a person or another program gets of a result."""
+"""Outputs of results for people and other programs: text, reports, plots, exports."""

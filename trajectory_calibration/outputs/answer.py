@@ -151,7 +151,7 @@ def pose_rows(
             NAMES, values.tolist(), *shown, strict=True)))
 
 
-def error_words(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
+def error_text(T: FloatArray, T_true: FloatArray, status: Mapping[str, str]) -> str:
     """Return the error of a (4, 4) pose as text, without its unobservable directions."""
     unobserved = np.array([status[name] == UNOBSERVED for name in DEGREES_OF_FREEDOM])
     t, R = sizes(np.where(unobserved, 0.0, se3.step_between(T_true, T)))

@@ -20,12 +20,12 @@ from trajectory_calibration.rig.comparison import Change, RigComparison
 _UNITS = {'z': ' [m]', 'yaw': ' [deg]'}
 _HEAD = ('', 'date', *(f'{name}{_UNITS.get(name, "")}' for name in NAMES), 'findings')
 
-_SHOWN_FINDINGS = 2
+_MAX_FINDINGS = 2
 
 
 def to_text(comparison: Comparison) -> str:
     """Return the verdict, then one line per answer."""
-    rows = [_HEAD, *(cells_of(entry, _SHOWN_FINDINGS) for entry in comparison.entries)]
+    rows = [_HEAD, *(cells_of(entry, _MAX_FINDINGS) for entry in comparison.entries)]
     widths = [max(len(cells[k]) for cells in rows if len(cells) > 3) for k in range(len(_HEAD))]
     lines = [*comparison.describe(), '']
     for cells in rows:

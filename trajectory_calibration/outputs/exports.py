@@ -28,7 +28,7 @@ from trajectory_calibration.errors import ConfigError, ResultError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.placement import Placement
-from trajectory_calibration.outputs.screen import deviation_words
+from trajectory_calibration.outputs.screen import std_texts
 
 if TYPE_CHECKING:
     from trajectory_calibration.result import CalibrationResult
@@ -82,7 +82,7 @@ def _comments(item: Placement, *more: str, xml: bool = False) -> str:
         lines.insert(0, f'UNOBSERVED: {", ".join(item.unobserved)}. These numbers are arbitrary '
                      'along it: measure it, or drive a ramp, before you use them.')
     if item.covariance is not None:
-        words = deviation_words(item.covariance)
+        words = std_texts(item.covariance)
         lines.append(f'standard deviations along and about x, y, z of {item.parent}: '
                      f'{", ".join(words[:3])} m, {", ".join(words[3:])} deg')
     # A line break or two hyphens in a frame name must not end the comment.

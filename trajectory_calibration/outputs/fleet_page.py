@@ -70,7 +70,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
         for items in (results, stretches))
     std = TO_DEGREES * [np.zeros(6) if item.std is None else item.std for item in results]
     mean_std = [TO_DEGREES * np.sqrt(np.diagonal(item.covariance)) for item in stretches]
-    places = _places(results)
+    places = _date_coordinates(results)
     # Boundaries of the stretches.
     edges = np.concatenate([[-0.05], 0.5 * (places[1:] + places[:-1]), [1.05]])[
         np.cumsum([0, *(len(item.names) for item in stretches)])].tolist()
@@ -106,7 +106,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
     return charts
 
 
-def _places(results: Sequence[CalibrationResult]) -> FloatArray:
+def _date_coordinates(results: Sequence[CalibrationResult]) -> FloatArray:
     """Return (N,) places of the recordings from 0 to 1: by date, or evenly for close dates."""
     dates = np.array([item.start_ns or 0 for item in results])
     even = np.linspace(0, 1, len(results))

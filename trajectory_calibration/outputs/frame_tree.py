@@ -35,7 +35,7 @@ class TreeEdge:
     name: str = ''
 
 
-def upwards(
+def ancestors(
     edges: Mapping[str, TreeEdge], frame: str,
 ) -> Iterator[tuple[str, FloatArray, TreeEdge | None]]:
     """Yield a frame and its ancestors: name, (4, 4) pose of the first frame in it, moving edge.
@@ -54,15 +54,15 @@ def upwards(
         frame = edge.parent
 
 
-def between(
+def relative_pose(
     edges: Mapping[str, TreeEdge], parent: str, child: str,
 ) -> tuple[FloatArray, TreeEdge | None] | None:
     """Return the (4, 4) pose of child in parent, and a moving edge in between, or None.
 
     None in place of both if the frames are in separate trees.
     """
-    above = {frame: (T, moving) for frame, T, moving in upwards(edges, parent)}
-    for frame, T_frame_child, moving in upwards(edges, child):
+    above = {frame: (T, moving) for frame, T, moving in ancestors(edges, parent)}
+    for frame, T_frame_child, moving in ancestors(edges, child):
         if frame in above:
             T_frame_parent, moves = above[frame]
             T: FloatArray = se3.inverse(T_frame_parent) @ T_frame_child
@@ -123,9 +123,9 @@ class FrameTree:
             if frame not in self.links:
                 raise SourceError(f'{self.path} has no link {frame}; it has '
                                   f'{", ".join(sorted(self.links - {""}))}')
-        found = between(self.joints, parent, child)
+        found = relative_pose(self.joints, parent, child)
         if found is None:
-            roots = [list(upwards(self.joints, frame))[-1][0] for frame in (parent, child)]
+            roots = [list(ancestors(self.joints, frame))[-1][0] for frame in (parent, child)]
             raise SourceError(f'{self.path} does not connect {parent} and {child}: '
                               f'{parent} belongs to {roots[0]}, {child} to {roots[1]}')
         T_parent_child, moving = found

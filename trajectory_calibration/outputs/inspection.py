@@ -23,8 +23,8 @@ _WINDOW_NS = 2_000_000_000
 # Residual per metre of translation error, over motions of that duration. Below the first limit
 # the rotation is as small as the noise of a SLAM; below the second, the standard deviation of the
 # translation is decimetres at best.
-_NOTHING = 0.02
-_WEAK = 0.1
+_INSUFFICIENT_GAIN = 0.02
+_WEAK_GAIN = 0.1
 
 
 def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str
     JSON, with the unit in each name.
     """
     steps_s = np.diff(trajectory.stamps_ns) * 1e-9
-    rotations = _motions_over_window(trajectory)
+    rotations = _window_rotations(trajectory)
     rotation_rms = np.sqrt(np.mean(se3.log_so3(rotations) ** 2, axis=0))
     motion, advice = _judge(*translation_gain(rotations))
     findings = worst_first((
@@ -63,7 +63,7 @@ def inspect_trajectory(trajectory: Trajectory, name: str, kind: str) -> dict[str
     }
 
 
-def _motions_over_window(trajectory: Trajectory) -> FloatArray:
+def _window_rotations(trajectory: Trajectory) -> FloatArray:
     """Return the (M, 3, 3) rotations of the sensor over the window, in its own axes."""
     stamps_ns = trajectory.stamps_ns
     window_ns = min(_WINDOW_NS, int(stamps_ns[-1] - stamps_ns[0]))
@@ -78,15 +78,15 @@ def _judge(gain: FloatArray, axes: FloatArray) -> tuple[str, str]:
     # Rotations about one axis do not determine the translation along it: the weakest direction
     # of the translation is the axis of rotation.
     axis = axis_name(axes[0])
-    if gain[1] < _NOTHING:
+    if gain[1] < _INSUFFICIENT_GAIN:
         return 'insufficient', (
             'it hardly turned: neither the rotation nor the translation can be determined; drive '
             'curves, and a ramp or a bank')
-    if gain[0] < _NOTHING:
+    if gain[0] < _INSUFFICIENT_GAIN:
         return 'insufficient', (
             f'it turned about {axis} only: the translation along {axis} will not be determined; '
             'drive a ramp or a bank')
-    if gain[0] < _WEAK:
+    if gain[0] < _WEAK_GAIN:
         return 'weak', (
             f'it turned mostly about {axis}: the translation along {axis} will be uncertain; '
             'drive steeper ramps or banks, or longer')

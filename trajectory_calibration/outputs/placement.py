@@ -42,9 +42,9 @@ class Placement:
             result.frame_a, result.frame_b, result.T_a_b, result.covariance,
             origin=f'trajectory_calibration {result.version}, solver {result.config.solver}, '
             f'{counted(result.motions, "motion")}')
-        return item.leaving(result.observability.unobserved, result.config)
+        return item.with_unobserved(result.observability.unobserved, result.config)
 
-    def leaving(self, unobserved: Sequence[str], config: CalibrationConfig) -> Placement:
+    def with_unobserved(self, unobserved: Sequence[str], config: CalibrationConfig) -> Placement:
         """Return the same with ``unobserved`` degrees of freedom."""
         where = f' of {self.child} in {self.parent}'
         hidden = unobserved and not config.allow_unobserved
@@ -57,9 +57,9 @@ class Placement:
         return replace(
             self, parent=self.child, child=self.parent,
             T_parent_child=se3.inverse(self.T_parent_child),
-            covariance=self._carried(se3.inverse_step(self.T_parent_child)))
+            covariance=self._propagated(se3.inverse_step(self.T_parent_child)))
 
-    def under(self, parent: str, T_new_parent: FloatArray) -> Placement:
+    def with_parent(self, parent: str, T_new_parent: FloatArray) -> Placement:
         """Return the pose of the child in another parent.
 
         ``T_new_parent`` (4, 4) is the pose of the old parent in the new one.
@@ -68,9 +68,9 @@ class Placement:
         J[:3, :3] = J[3:, 3:] = T_new_parent[:3, :3]
         return replace(
             self, parent=parent, T_parent_child=T_new_parent @ self.T_parent_child,
-            covariance=self._carried(J))
+            covariance=self._propagated(J))
 
-    def holding(self, child: str, T_new_child: FloatArray) -> Placement:
+    def with_child(self, child: str, T_new_child: FloatArray) -> Placement:
         """Return the pose of another frame that is fixed to the child.
 
         ``T_new_child`` (4, 4) is the pose of the old child in the new one, for instance of the
@@ -81,7 +81,7 @@ class Placement:
         J[:3, 3:] = -se3.skew(self.T_parent_child[:3, :3] @ T_child_new[:3, 3])
         return replace(
             self, child=child, T_parent_child=self.T_parent_child @ T_child_new,
-            covariance=self._carried(J))
+            covariance=self._propagated(J))
 
     def require_two_frames(self) -> Placement:
         """Return self; raises ConfigError if both frames have the same name."""
@@ -91,7 +91,7 @@ class Placement:
                 'name them with --frame-a and --frame-b of calibrate, or --parent and --child')
         return self
 
-    def _carried(self, jacobian: FloatArray) -> FloatArray | None:
+    def _propagated(self, jacobian: FloatArray) -> FloatArray | None:
         if self.covariance is None:
             return None
         return jacobian @ self.covariance @ jacobian.T

@@ -47,7 +47,7 @@ def placements(rig: RigResult) -> list[Placement]:
             rig.sensors[sensor.base].frame, sensor.frame, sensor.T_base_sensor, sensor.covariance,
             origin=f'trajectory_calibration {rig.version}, rig of '
             f'{counted(len(rig.sensors), "sensor")}',
-        ).leaving(sensor.unobserved, rig.config.calibration)
+        ).with_unobserved(sensor.unobserved, rig.config.calibration)
         for name, sensor in rig.sensors.items() if name != sensor.base]
 
 

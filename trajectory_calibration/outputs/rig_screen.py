@@ -11,7 +11,7 @@ import numpy as np
 from trajectory_calibration.errors import counted
 from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import error_words, NAMES, pose_rows, Row
+from trajectory_calibration.outputs.answer import error_text, NAMES, pose_rows, Row
 from trajectory_calibration.outputs.screen import finding_lines
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.rig.result import RigResult, SensorAnswer
@@ -46,7 +46,7 @@ def format_rig(
     lines.append('')
     lines += _second_table(rig, terminal)
     if truth:
-        lines += ['', *(f'  error of {name} against the ground truth: ' + error_words(
+        lines += ['', *(f'  error of {name} against the ground truth: ' + error_text(
             rig.sensors[name].T_base_sensor, truth[name], rig.sensors[name].status)
             for name in rig.free if name in truth)]
     if rig.degrees:

@@ -14,7 +14,7 @@ from trajectory_calibration.data.findings import Finding, worst_first
 from trajectory_calibration.errors import counted, in_sigmas
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.outputs.answer import answer_rows, error_words, fixed, Row, TO_DEGREES
+from trajectory_calibration.outputs.answer import answer_rows, error_text, fixed, Row, TO_DEGREES
 from trajectory_calibration.outputs.terminal import Terminal
 from trajectory_calibration.result import CalibrationResult
 from trajectory_calibration.solvers.solution import UNOBSERVED_STD
@@ -37,7 +37,7 @@ def format_result(
     lines = [terminal.paint(f'Pose of {b} in {a}', 'head')
              + terminal.paint(f'   p_{a} = T p_{b}', 'soft'), *_answer(rows, terminal)]
     if T_a_b_true is not None:
-        lines.append('  error against the ground truth: ' + error_words(
+        lines.append('  error against the ground truth: ' + error_text(
             result.T_a_b, T_a_b_true, result.observability.status))
     prior = '; prior: given beforehand' if 'prior' in result.observability.status.values() else ''
     legend = (f'+-: 1 standard deviation. ok: at most {config.weak_translation:g} m, '
@@ -54,10 +54,10 @@ def format_result(
 
 def format_transform(result: CalibrationResult) -> str:
     """Return 'x y z qx qy qz qw' in one line, with 'unknown' for unobservable numbers."""
-    return ' '.join(transform_words(result, 9, 9)) + '\n'
+    return ' '.join(transform_texts(result, 9, 9)) + '\n'
 
 
-def transform_words(result: CalibrationResult, digits: int, quaternion_digits: int) -> list[str]:
+def transform_texts(result: CalibrationResult, digits: int, quaternion_digits: int) -> list[str]:
     """Return x, y, z, qx, qy, qz, qw as text, 'unknown' if unobservable."""
     rows = answer_rows(result)
     words = [fixed(row.value, digits) if row.is_known else row.word for row in rows[:3]]
@@ -104,16 +104,16 @@ def finding_lines(findings: Iterable[Finding], terminal: Terminal, most: int | N
 def details(result: CalibrationResult) -> dict[str, str]:
     """Return the details of an answer by label: data, method, clocks, residual."""
     a, b = result.frame_a, result.frame_b
-    quaternion = transform_words(result, 6, 6)[3:]
+    quaternion = transform_texts(result, 6, 6)[3:]
     rows = {'quaternion': 'unknown' if 'unknown' in quaternion else _named(quaternion, 'xyzw')}
     if result.covariance is not None:
-        words = deviation_words(result.covariance)
+        words = std_texts(result.covariance)
         rows['translation std'] = f'{_named(words[:3])} m, along the axes of {a}'
         rows['rotation std'] = f'{_named(words[3:])} deg, about the axes of {a}'
     reference = result.reference or result.config.reference
     rows['fit residual'] = (
         f'{result.metrics.e_rt:.4f} m, {np.rad2deg(result.metrics.e_rR):.3f} deg per motion '
-        f'{reference_words(reference)} (not the accuracy)')
+        f'{reference_text(reference)} (not the accuracy)')
     rows['turned about'] = (f'{_turned(result.observability.excitation_deg)} deg rms per '
                             f'motion, axes of {a}')
     rows['data'] = _describe_data(result)
@@ -136,7 +136,7 @@ def details(result: CalibrationResult) -> dict[str, str]:
     return rows
 
 
-def reference_words(reference: str) -> str:
+def reference_text(reference: str) -> str:
     """Return the span of the motions of a reference: 'of 5 poses'."""
     if reference == 'B1':
         return 'from pose to pose'
@@ -144,7 +144,7 @@ def reference_words(reference: str) -> str:
             }.get(reference[:1], 'from the first pose')
 
 
-def deviation_words(covariance: FloatArray) -> list[str]:
+def std_texts(covariance: FloatArray) -> list[str]:
     """Return the six standard deviations of a (6, 6) covariance as text, metres and degrees.
 
     'unknown' from half of ``UNOBSERVED_STD``, the placeholder for unobservable directions.

@@ -25,7 +25,7 @@ from trajectory_calibration.outputs.report.parts import Parts, QUARTERS
 from trajectory_calibration.outputs.report.sensors import Mounted, sensor_views
 from trajectory_calibration.outputs.report.tracks import MOST_JUMPS, Tracks
 from trajectory_calibration.outputs.report.view3d import track_view
-from trajectory_calibration.outputs.screen import reference_words
+from trajectory_calibration.outputs.screen import reference_text
 
 NAVIGATION = ('Tracks', 'Motion', 'Parts', 'Residuals', 'Clock and scale', 'Record')
 
@@ -39,7 +39,7 @@ _MOST = 0.995
 def sections(data: ReportData) -> str:
     """Return sections 1 to 5."""
     result = data.result
-    motions = reference_words(result.reference or result.config.reference)
+    motions = reference_text(result.reference or result.config.reference)
     return ''.join((
         section(1, 'Do the two tracks coincide?', track_figures(data),
                 'The track of b is transformed to a with the extrinsic, and aligned to that of a '
