@@ -418,7 +418,7 @@ def test_wrong_configuration_file(files, tmp_path, capsys, content, message):
     (['{a}', '{b}', '--reference', 'B79'], 1, 'error: reference B79 leaves 1 motion of 80 poses'),
     (['{a}', '{b}', '--time-offset', '100'], 1, 'error: no overlap in time: '),
     (['/lidar/odom', '/nothing', '--bag', '{bag}'], 1,
-     'no topic /nothing; topics that can serve: /camera/pose (PoseStamped, 80 messages), /lidar'),
+     'no topic /nothing; usable topics: /camera/pose (PoseStamped, 80 messages), /lidar'),
     (['/lidar/odom', '/words', '--bag', '{bag}'], 1, 'topic /words is std_msgs/msg/String'),
     (['/x', '/y', '--bag', '{a}.no'], 1,
      'error: {a}.no does not exist; needed a rosbag2 folder'),

@@ -85,7 +85,7 @@ def test_the_replay_of_a_bag_is_the_answer_of_the_node_bit_for_bit(
 
 
 @pytest.mark.parametrize('arguments, status, sentence', [
-    (['-p', 'topic_b:=/nothing'], 1, 'no topic /nothing; topics that can serve: /trajectory_a'),
+    (['-p', 'topic_b:=/nothing'], 1, 'no topic /nothing; usable topics: /trajectory_a'),
     (['-p', 'type_a:=Path'], 1, 'type_a is nav_msgs/msg/Path'),
     (['-p', 'max_gap:=-1'], 2, 'max_gap is -1.0'),
     (['-p', 'max_gap'], 2, 'needed NAME:=VALUE'),

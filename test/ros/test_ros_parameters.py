@@ -75,7 +75,7 @@ def test_the_node_declares_exactly_these_parameters(tmp_path):
     ({'max_gap': None}, 'max_gap is None'),
     ({'max_poses': True}, 'max_poses is True'),
     ({'max_poses': 5}, 'needed 10 to'),
-    ({'type_b': 'Imu'}, "type 'Imu' cannot serve"),
+    ({'type_b': 'Imu'}, "type 'Imu' cannot be used"),
     ({'nonsense': 1}, "'nonsense' is unknown"),
 ])
 def test_values_are_judged_in_one_place(values, sentence):

@@ -150,7 +150,7 @@ def test_a_path_of_another_drive_that_is_dropped_is_named(tmp_path):
     _expect(trajectory, stamps_ns[6:], poses[6:])
     assert ''.join(trajectory.warnings) == (
         'path: /path: 2 earlier paths with 6 poses of another time: dropped, only the last path '
-        'is used; calibrate each bag by itself')
+        'is used; calibrate each bag separately')
 
 
 def test_a_path_that_began_anew_within_a_bag_is_named(tmp_path):
@@ -276,14 +276,14 @@ def test_big_endian_messages(tmp_path):
 
 @pytest.mark.parametrize(('topic', 'message'), [
     ('/odm', 'no topic /odm'),
-    ('/words', 'topic /words is std_msgs/msg/String, which cannot serve as a trajectory'),
+    ('/words', 'topic /words is std_msgs/msg/String, which cannot be used as a trajectory'),
 ])
 def test_a_wrong_topic_lists_the_candidates(tmp_path, topic, message):
     write_bag(tmp_path / 'bag')
     with pytest.raises(TopicError) as caught:
         BagSource([tmp_path / 'bag'], topic).load()
     assert str(caught.value) == (
-        f'{tmp_path}/bag: {message}; topics that can serve: /odom (Odometry, 50 messages), '
+        f'{tmp_path}/bag: {message}; usable topics: /odom (Odometry, 50 messages), '
         '/pose (PoseStamped, 50 messages)')
 
 
@@ -293,7 +293,7 @@ def test_a_bag_without_candidates_and_an_empty_bag(tmp_path):
     with BagFile(tmp_path / 'empty', 'sqlite3'):
         pass
     for name in ('words', 'empty'):
-        with pytest.raises(TopicError, match='topics that can serve: none'):
+        with pytest.raises(TopicError, match='usable topics: none'):
             BagSource([tmp_path / name], '/odom').load()
 
 

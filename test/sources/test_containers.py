@@ -56,7 +56,7 @@ def test_an_mcap_file_of_json_says_what_it_is(tmp_path):
     messages = [('/odom', 'nav_msgs/msg/Odometry', stamp, b'{"x": 1}') for stamp in STAMPS_NS]
     path = write_mcap(tmp_path / 'a.mcap', messages, profile='', encoding='json')
     with pytest.raises(TopicError, match='topic /odom is written as json, and only cdr and ros1 '
-                       'can be read; topics that can serve: none'):
+                       'can be read; usable topics: none'):
         BagSource([path], '/odom').load()
 
 
@@ -197,8 +197,8 @@ def test_a_chain_of_transforms(tmp_path, storage):
             'tf2_msgs/msg/TFMessage', 'nav_msgs/msg/Odometry']
         with pytest.raises(TopicError, match='no frame lidr in the transforms; frames: arm, base'):
             reader.read(['tf:map.lidr'])
-        with pytest.raises(TopicError, match='name a pair of frames, tf:PARENT.CHILD; topics that '
-                           r'can serve: .*tf:PARENT.CHILD \(inspect lists the frames\)'):
+        with pytest.raises(TopicError, match='name a pair of frames, tf:PARENT.CHILD; '
+                           r'usable topics: .*tf:PARENT.CHILD \(inspect lists the frames\)'):
             reader.read(['/tf'])
 
 

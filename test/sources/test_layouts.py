@@ -333,7 +333,7 @@ def test_times_of_an_array_are_read_as_it_writes_them(tmp_path):
 @pytest.mark.parametrize(('name', 'content', 'message'), [
     ('a.json', '{"frames": 3}', 'is JSON, but no transforms.json'),
     ('a.json', '{', 'is JSON, but no transforms.json'),
-    ('a.g2o', 'VERTEX_SE2 0 1 2 3\n', 'holds no VERTEX_SE3:QUAT: poses in the plane cannot'),
+    ('a.g2o', 'VERTEX_SE2 0 1 2 3\n', 'holds no VERTEX_SE3:QUAT: planar poses cannot be'),
     ('a.npy', 'x', 'cannot be read as an array of numbers'),
     ('images.txt', '# IMAGE_ID CAMERA_ID\n', 'holds no images of COLMAP'),
     ('a.txt', 'version https://git-lfs.github.com/spec/v1\noid sha256:1\n', 'git lfs pull'),

@@ -128,7 +128,7 @@ def test_why_there_is_no_chain():
     with pytest.raises(TopicError, match='are one frame'):
         tree.chain('map', '/map'.strip('/'))
     tree.extend('map', 'base_link', *moving(9, 4))
-    with pytest.raises(TopicError, match='two ways from map to lidar: base_link has the parents '
+    with pytest.raises(TopicError, match='two paths from map to lidar: base_link has the parents '
                        'odom and map'):
         tree.chain('map', 'lidar')
     assert len(tree.chain('base_link', 'lidar')) == 1
@@ -314,7 +314,7 @@ def test_a_second_parent_is_found_and_its_clock_forgets_nothing():
     assert follower.take()[0].size == 0 and follower.waiting_for == ''
     follower.add('map', 'base_link', 0, (0, 0, 0, 0, 0, 0, 1))
     follower.take()
-    assert 'two ways from map to lidar' in follower.waiting_for
+    assert 'two paths from map to lidar' in follower.waiting_for
 
 
 def test_stamps_that_hardly_advance_and_static_transforms_take_no_memory():

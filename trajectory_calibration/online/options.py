@@ -156,7 +156,7 @@ def find_type(name: str) -> str | None:
         if name in (msgtype, msgtype.replace('/msg/', '/'), msgtype.rpartition('/')[2]):
             return msgtype
     raise ConfigError(
-        f'type {name!r} cannot serve as a trajectory; needed one of {AUTOMATIC}, '
+        f'type {name!r} cannot be used as a trajectory; needed one of {AUTOMATIC}, '
         f'{", ".join(TRAJECTORY_TYPES)}')
 
 

@@ -164,7 +164,7 @@ def _doubt(publishers: Sequence[TopicEndpointInfo]) -> str:
     nodes = sorted(f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
                    for publisher in publishers)
     return (f'{len(publishers)} publishers ({", ".join(nodes)}): are they the same sensor, with '
-            'the same origin? If not, give each a topic of its own')
+            'the same origin? If not, give each its own topic')
 
 
 def _matching_profile(publishers: Sequence[TopicEndpointInfo], depth: int) -> QoSProfile:

@@ -96,7 +96,7 @@ class BagReader:
         if all(isinstance(storage, Unreadable) for bag in bags for storage in bag.files.values()):
             raise SourceError(
                 f'{"; ".join(self.notes)}: nothing in it can be read; copy it again from where it '
-                'was recorded, or record anew')
+                'was recorded, or record again')
         counts: Counter[Channel] = Counter()
         for bag in bags:
             for channel in bag.channels():
@@ -110,7 +110,7 @@ class BagReader:
 
     @property
     def serving(self) -> list[str]:
-        """Return the topics that can serve as a trajectory."""
+        """Return the topics that can be used as a trajectory."""
         topics = dict.fromkeys(channel.topic for channel in self.channels)
         return [topic for topic in topics if not self._fault(topic)]
 
@@ -193,7 +193,7 @@ class BagReader:
         if types[0] == TF:
             return f'topic {topic} holds transforms; name a pair of frames, tf:PARENT.CHILD'
         if types[0] not in TRAJECTORY_TYPES:
-            return f'topic {topic} is {types[0]}, which cannot serve as a trajectory'
+            return f'topic {topic} is {types[0]}, which cannot be used as a trajectory'
         if set(encodings) <= set(_READABLE):
             return ''
         return (f'topic {topic} is written as {", ".join(encodings)}, and only '
@@ -214,7 +214,7 @@ class BagReader:
             serving.append('tf:PARENT.CHILD (inspect lists the frames)')
         names = ', '.join(str(bag.path) for bag in self._bags)
         notes = f'; {"; ".join(self.notes)}' if self.notes else ''
-        return TopicError(f'{names}: {found}; topics that can serve: '
+        return TopicError(f'{names}: {found}; usable topics: '
                           f'{", ".join(serving) or "none"}{notes}')
 
 

@@ -137,7 +137,7 @@ class FileSource:
             's' if layout.time is None else time_unit_of(table.sample()[:, layout.time]))
         integers = [layout.columns[name] for name in ('nsec', 'number') if name in layout.columns]
         numbers = table.read_numbers(layout.pose_columns + integers, layout.time, TIME_UNITS[unit])
-        values, rest = np.split(numbers.values, [len(layout.pose_columns)], axis=1)
+        values, extra = np.split(numbers.values, [len(layout.pose_columns)], axis=1)
         kind, names = counted(table.width, 'column'), layout.names()
         if layout.time is None and '-' in names.split(','):
             named = re.sub('(^|,)-', r'\1t', names, count=1)
@@ -150,10 +150,10 @@ class FileSource:
                 raise SourceError(f'{self.path}: nanoseconds have no fraction; in which unit are '
                                   'the times? Say --time-unit')
             if 'nsec' in layout.columns:
-                if not ((rest[:, 0] >= 0) & (rest[:, 0] < 1e9)).all():
+                if not ((extra[:, 0] >= 0) & (extra[:, 0] < 1e9)).all():
                     raise SourceError(f'{self.path}: column {integers[0] + 1} holds no '
                                       'nanoseconds below one second')
-                raw.stamps_ns = raw.stamps_ns + np.rint(rest[:, 0]).astype(np.int64)
+                raw.stamps_ns = raw.stamps_ns + np.rint(extra[:, 0]).astype(np.int64)
             elif unit == 's' and not self.time_unit:
                 raw.stamps_ns, raw.findings = check_seconds(raw.stamps_ns, numbers.places)
             if unit not in ('s', layout.unit, self.time_unit):
@@ -161,7 +161,7 @@ class FileSource:
                     'input-read-as', f'its times are read as {unit}, judged by their size',
                     {'unit': unit}))
         if 'number' in layout.columns:
-            raw.numbers = np.rint(rest[:, -1]).astype(np.int64)
+            raw.numbers = np.rint(extra[:, -1]).astype(np.int64)
         if layout.at(QUATERNION):
             self._require_unit_norm(raw, table, layout)
         raw.findings += [Finding('input-repaired', note) for note in table.notes]

@@ -253,13 +253,13 @@ def _candidates(columns: list[int], *, timed: bool) -> list[Layout]:
     found = []
     for start in ((), ('t',), ('sec', 'nsec'),
                   ('number',), ('number', 't'), ('number', 'sec', 'nsec')):
-        rest = len(columns) - len(start)
+        count = len(columns) - len(start)
         # If another file has the times, the first column may be the frame number.
         has_time = start[-1:] in (('t',), ('nsec',)) or (timed and start == ('number',))
-        usual = rest == 7 or (rest > 7 and has_time)
-        for pose, fits in ((POSITION + QUATERNION, usual),
-                           (QUATERNION + POSITION, usual),
-                           (_MATRIX, rest in (12, 16))):
+        has_quaternion = count == 7 or (count > 7 and has_time)
+        for pose, fits in ((POSITION + QUATERNION, has_quaternion),
+                           (QUATERNION + POSITION, has_quaternion),
+                           (_MATRIX, count in (12, 16))):
             if fits:
                 found.append(Layout(
                     FROM_NUMBERS, dict(zip(start + pose, columns, strict=False)),
@@ -281,9 +281,9 @@ def _fits(layout: Layout, sample: FloatArray) -> bool:
                 len(time) > 1 and time.max() == time.min()):
             return False
     if 'nsec' in layout.columns:
-        seconds, rest = rows[:, layout.at(('sec', 'nsec'))].T
-        whole = (seconds == np.rint(seconds)) & (rest == np.rint(rest))
-        if not (whole & (rest >= 0) & (rest < 1e9)).all() or rest.max() < 1e3 or (
+        seconds, nsec = rows[:, layout.at(('sec', 'nsec'))].T
+        whole = (seconds == np.rint(seconds)) & (nsec == np.rint(nsec))
+        if not (whole & (nsec >= 0) & (nsec < 1e9)).all() or nsec.max() < 1e3 or (
                 seconds[-1] - seconds[0] > _LONGEST_STEP_S * len(seconds)):
             return False
     with np.errstate(over='ignore', invalid='ignore'):

@@ -27,7 +27,7 @@ class McapFile(Storage):
 
     def __init__(self, data: mmap.mmap) -> None:
         if data[:len(_MAGIC)] != _MAGIC:
-            raise ValueError('it does not begin as an mcap file does')
+            raise ValueError('it is no mcap file')
         self._data = data
         self._schemas: dict[int, str] = {}
         self._chunks: list[int] = []

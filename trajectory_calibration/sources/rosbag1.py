@@ -25,7 +25,7 @@ class Ros1File(Storage):
     def __init__(self, data: mmap.mmap) -> None:
         if data[:len(_MAGIC)] != _MAGIC:
             kind = 'a bag of an older ROS' if data[:7] == b'#ROSBAG' else 'no bag of ROS 1'
-            raise ValueError(f'it begins as {kind} does; needed #ROSBAG V2.0')
+            raise ValueError(f'it is {kind}; needed #ROSBAG V2.0')
         self._data = data
         super().__init__()
 

@@ -107,7 +107,7 @@ def read_g2o(path: Path, text: str) -> RawPoses:
     """Return the vertices of a pose graph; their ids are the frame numbers."""
     lines = [line for line in text.split('\n') if line.startswith('VERTEX_SE3:QUAT')]
     if not lines:
-        planar = ': poses in the plane cannot serve' if 'VERTEX_SE2' in text else ''
+        planar = ': planar poses cannot be used' if 'VERTEX_SE2' in text else ''
         raise SourceError(f'{path} holds no VERTEX_SE3:QUAT{planar}')
     table = Table.parse(path, '\n'.join(lines) + '\n')
     if table.width < 9:

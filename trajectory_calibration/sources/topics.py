@@ -281,7 +281,7 @@ def _dropped_note(paths: Sequence[TopicTrack]) -> list[str]:
         return []
     dropped = counted(len(separate), 'earlier path')
     poses = counted(sum(len(path.poses) for path in separate), 'pose')
-    advice = 'only the last path is used; calibrate each bag by itself'
+    advice = 'only the last path is used; calibrate each bag separately'
     return [f'{dropped} with {poses} of another time: dropped, {advice}']
 
 

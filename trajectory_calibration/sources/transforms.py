@@ -115,7 +115,7 @@ class TransformTree:
         for link in path:
             if child in self._paths(parent, without=link.edge):
                 raise TopicError(
-                    f'there are two ways from {parent} to {child}: {self._two_parents()}; '
+                    f'there are two paths from {parent} to {child}: {self._two_parents()}; '
                     'name a pair of frames between which there is one')
         return path
 
