@@ -138,7 +138,7 @@ def whole_answers(data, poses):
         found = [of_child(command) for _ in range(REPEATS)]
         numpy = [of_child(['-c', 'import numpy']) for _ in range(REPEATS)]
         yield f'command line, two files of {FILE_POSES} poses', f'{spread(found)} s', '0.6 s'
-        yield 'of that, `import numpy`', f'{spread(numpy)} s', ''
+        yield 'of which `import numpy`', f'{spread(numpy)} s', ''
         path = Path(folder) / 'long.tum'
         write_tum(path, offroad(LINES, 10.0)[0])
         found = seconds_of(lambda: FileSource(path).load())
@@ -147,8 +147,8 @@ def whole_answers(data, poses):
     a, b = offroad(poses, 100.0)
     (seconds,) = seconds_of(lambda: calibrate(a, b), 1)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    yield (f'`calibrate()`, {poses:,} poses of both at 100 Hz', f'{seconds:.1f} s, {peak:.1f} GiB',
-           '30 s, 2 GiB')
+    yield (f'`calibrate()`, {poses:,} poses per sensor at 100 Hz',
+           f'{seconds:.1f} s, {peak:.1f} GiB', '30 s, 2 GiB')
 
 
 def print_solvers(data, poses):
