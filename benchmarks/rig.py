@@ -28,7 +28,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
 from trajectory_calibration.rig.noise import covariances, sensor_variances
 from trajectory_calibration.rig.pairs import calibrate_pairs
-from trajectory_calibration.rig.windows import common_grid, levels_of, Track
+from trajectory_calibration.rig.windows import common_grid, Track, window_levels
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.scenario import Sensor
 from trajectory_calibration.sources.files import FileSource
@@ -174,7 +174,7 @@ def bound(
             track.stamps_ns - round(1e9 * clocks[name].clock_offset),
             track.scaled(1 / clocks[name].noise.scale).poses @ se3.inverse(x))
             for (name, track), x in zip(run.trajectories.items(), X, strict=True)]
-        levels = levels_of(common_grid(tracks, 500_000_000))
+        levels = window_levels(common_grid(tracks, 500_000_000))
         noise = covariances(sensor_variances(levels, X), X)
         together = np.zeros((sensors, 6, sensors, 6))
         alone = np.zeros((sensors, 6, 6))

@@ -23,7 +23,7 @@ from trajectory_calibration.rig import (
     RigResult,
     SensorSettings,
 )
-from trajectory_calibration.rig.contradictions import other_clocks
+from trajectory_calibration.rig.contradictions import clock_contradictions
 from trajectory_calibration.rig.pairs import calibrate_pairs
 from trajectory_calibration.rig.windows import Clock
 from trajectory_calibration.simulation.noise import Noise
@@ -170,8 +170,8 @@ def test_a_late_clock_is_named_and_corrected():
 
 
 def test_clocks_of_which_none_is_usual_are_no_fault():
-    assert other_clocks('abcd', [Clock(0.1 * k) for k in range(4)]) == []
-    found, = other_clocks('abc', [Clock(), Clock(), Clock(-0.08)])
+    assert clock_contradictions('abcd', [Clock(0.1 * k) for k in range(4)]) == []
+    found, = clock_contradictions('abc', [Clock(), Clock(), Clock(-0.08)])
     assert found.sensor == 'c'
     assert '80 ms late' in found.text
 
@@ -384,7 +384,7 @@ def test_settings_survive_plain_data():
     ('a', RigConfig(), ConfigError, '1 sensors'),
     ('abc', RigConfig(base='x'), ConfigError, "sensor 'x' is unknown"),
     ('abc', RigConfig(sensors={'y': SensorSettings()}), ConfigError, "sensor 'y' is unknown"),
-    ('abc', RigConfig(sensors={'a': SensorSettings(scale='free')}), ConfigError, 'no metres'),
+    ('abc', RigConfig(sensors={'a': SensorSettings(scale='free')}), ConfigError, 'no metric scale'),
 ])
 def test_names_that_do_not_fit_are_errors(given, config, error_type, message):
     run = simulate_rig(vehicle(duration=5.0), 0)

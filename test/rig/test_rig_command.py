@@ -23,7 +23,7 @@ from trajectory_calibration.outputs.rig_exports import encode_rig, placements, R
 from trajectory_calibration.outputs.rig_report import render_rig
 from trajectory_calibration.outputs.rig_screen import format_rig
 from trajectory_calibration.rig import RigResult
-from trajectory_calibration.rig.advice import in_rig_words
+from trajectory_calibration.rig.advice import with_rig_keys
 from trajectory_calibration.rig.description import RigDescription
 from trajectory_calibration.rig.windows import common_grid
 from trajectory_calibration.simulation.files import write_bag, write_tum
@@ -451,7 +451,7 @@ def test_advice_for_two_sensors_works_in_the_file(tmp_path, capsys):
      ),
 ])
 def test_options_become_keys(text, wanted):
-    assert in_rig_words(text, 'A', 'B') == wanted
+    assert with_rig_keys(text, 'A', 'B') == wanted
 
 
 def test_a_contradicting_sensor_is_named_on_screen_and_page(tmp_path, capsys):

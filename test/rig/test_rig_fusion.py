@@ -15,10 +15,10 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import fusion
 from trajectory_calibration.rig.fusion import fuse_numbers, pair_jacobian, spanning_start
 from trajectory_calibration.rig.shared_noise import (
-    carried_to_stated,
     half_shared,
     twist_to_step,
     with_own_share,
+    with_stated_blocks,
 )
 from trajectory_calibration.simulation.scenario import random_pose
 
@@ -147,7 +147,7 @@ def test_half_for_each_sensor_is_honest_where_noise_is_shared():
         C = covariance_of_pairs(X, pairs, sigma)
         stated = np.stack([C[p, :, p] for p in range(6)])
         half = np.einsum('pq,ab->paqb', half_shared(4, pairs), np.eye(6))
-        guess = carried_to_stated(half, stated, X, pairs)
+        guess = with_stated_blocks(half, stated, X, pairs)
         fused = fuse(X, pairs, answers, guess)
         error = error_of(fused, X)
         found.append(error @ np.linalg.solve(fused.covariance, error) / len(error))
@@ -162,12 +162,12 @@ def test_stated_covariances_are_kept():
     M = covariance_of_pairs(np.broadcast_to(np.eye(4), X.shape), pairs, sigma)
     A = rng.standard_normal((3, 6, 6))
     stated = 1e-4 * (A @ np.swapaxes(A, 1, 2) + np.eye(6))
-    C = carried_to_stated(M, stated, X, pairs)
+    C = with_stated_blocks(M, stated, X, pairs)
     for p in range(3):
         np.testing.assert_allclose(C[p, :, p], stated[p], rtol=1e-9)
     assert np.linalg.eigvalsh(C.reshape(18, 18)).min() > -1e-12
     wanted = covariance_of_pairs(X, pairs, sigma)
-    np.testing.assert_allclose(carried_to_stated(
+    np.testing.assert_allclose(with_stated_blocks(
         M, np.stack([wanted[p, :, p] for p in range(3)]), X, pairs), wanted, atol=1e-12)
 
 

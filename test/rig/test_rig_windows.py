@@ -13,7 +13,7 @@ from trajectory_calibration.rig.noise import (
     white_and_drift,
 )
 from trajectory_calibration.rig.shared_noise import joint_covariance
-from trajectory_calibration.rig.windows import common_grid, levels_of, Track
+from trajectory_calibration.rig.windows import common_grid, Track, window_levels
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.scenario import Sensor
 
@@ -33,7 +33,7 @@ def carried(noises, seed=0, duration=60.0, rate=10.0, **sensor):
 
 def test_sensors_without_noise_do_not_differ():
     tracks, _ = carried([Noise()] * 3)
-    for level in levels_of(common_grid(tracks, GAP_NS)):
+    for level in window_levels(common_grid(tracks, GAP_NS)):
         assert level.known.all()
         np.testing.assert_allclose(level.differences, 0, atol=1e-9)
 
@@ -44,7 +44,7 @@ def test_jacobian_of_the_differences_is_the_numeric_one(column):
     size = 1e-4
     moved = tracks[1].poses @ se3.inverse(se3.exp_se3(size * np.eye(6)[column]))
     grid_moved = common_grid([tracks[0], Track(tracks[1].stamps_ns, moved)], GAP_NS)
-    for level in levels_of(grid_moved)[1:]:
+    for level in window_levels(grid_moved)[1:]:
         both = level.known.all(axis=0)
         apart = (level.differences[1] - level.differences[0])[both] / size
         scale = np.abs(level.jacobian[..., column]).max()
@@ -57,7 +57,7 @@ def test_white_noise_and_drift_of_each_sensor_are_told_apart():
               Noise(white=0.002, white_rotation=0.0003, walk=0.02, walk_rotation=0.002)]
     tracks, X = carried(noises, duration=200.0)
     grid = common_grid(tracks, GAP_NS)
-    levels = levels_of(grid)
+    levels = window_levels(grid)
     variances = sensor_variances(levels, X)
     found = white_and_drift(levels, variances)
     for noise, known in zip(found[:2], noises[:2], strict=True):
@@ -73,7 +73,7 @@ def test_windows_that_a_sensor_does_not_cover_are_not_its():
     tracks, _ = carried([Noise(white=0.01)] * 3)
     half = len(tracks[1].stamps_ns) // 2
     tracks[1] = Track(tracks[1].stamps_ns[:half], tracks[1].poses[:half])
-    levels = levels_of(common_grid(tracks, GAP_NS))
+    levels = window_levels(common_grid(tracks, GAP_NS))
     assert not levels[0].known[1, -10:].any()
     assert levels[0].known[1, :10].all()
     assert levels[0].known[[0, 2]].all()
@@ -81,7 +81,7 @@ def test_windows_that_a_sensor_does_not_cover_are_not_its():
 
 def test_pairs_that_share_a_sensor_err_together():
     tracks, X = carried([Noise(white=0.01, white_rotation=0.001)] * 4)
-    levels = levels_of(common_grid(tracks, GAP_NS))
+    levels = window_levels(common_grid(tracks, GAP_NS))
     variances = sensor_variances(levels, X)
     M = joint_covariance(
         levels, covariances(variances, X), [(0, 1), (0, 2), (2, 0), (2, 3), (1, 3)])

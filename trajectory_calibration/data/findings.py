@@ -52,7 +52,7 @@ CATALOGUE: dict[str, tuple[str, str]] = {
     'rig-groups': ('warning', 'groups of sensors share no motion; each is calibrated separately'),
     'rig-loops': ('warning', 'loops of sensors do not close within the standard deviations'),
     'rig-mount-moved': ('serious', 'a sensor moved on its mount during the drive'),
-    'rig-no-common-time': ('serious', 'a sensor shares no time with the others'),
+    'rig-no-common-time': ('serious', 'a sensor has no common time with the others'),
     'rig-other-motion': ('serious', 'a sensor does not move as the others do'),
     'rig-result-repeated': ('note', 'several saved results of one pair: the latest was used'),
     'rig-result-unread': ('warning', 'a file beside saved results could not be read as one'),

@@ -37,7 +37,7 @@ from trajectory_calibration.outputs.rig_screen import (
     sensor_rows,
 )
 from trajectory_calibration.rig.result import RigResult
-from trajectory_calibration.rig.windows import common_grid, Grid, track_of
+from trajectory_calibration.rig.windows import base_track, common_grid, Grid
 
 # Points of a track, and of a curve over time, that are drawn.
 _POINTS = 500
@@ -137,8 +137,8 @@ def _tracks(rig: RigResult, trajectories: Mapping[str, Trajectory]) -> list[Figu
     if len(names) < 2:
         return ['<p>The tracks were not given.</p>']
     grid = common_grid([
-        track_of(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
-                 rig.sensors[name].T_base_sensor) for name in names],
+        base_track(trajectories[name], rig.sensors[name].clock, rig.sensors[name].scale,
+                   rig.sensors[name].T_base_sensor) for name in names],
         round(1e9 * rig.config.calibration.max_gap))
     aligned = _aligned(grid)
     return [_from_above(rig, names, aligned), *_distances(names, aligned, grid)]

@@ -10,7 +10,7 @@ _PRIOR = re.compile(r'--prior-(translation|rotation)=(\S+) --prior-\1-std=(\d+(?
 _OF_SENSOR = re.compile(r'--(invert|quaternion-order)(?:-([ab]))?(?: (wxyz|xyzw))?')
 _SETTING = re.compile(r'--(association|max-time-difference|max-gap)=(\w[\w.+-]*\w|\w)')
 
-# Of the node; where a rig is exported, it is said which option writes it.
+# Advice for the node, which does not apply to a rig.
 _PUBLISHED = re.compile(r', or(?:, in the node,)? set allow_unobserved[^.;]*')
 _WHOLE = {
     '--invert-a --invert-b': '--invert-a and --invert-b',
@@ -19,7 +19,7 @@ _WHOLE = {
 }
 
 
-def in_rig_words(text: str, parent: str, child: str) -> str:
+def with_rig_keys(text: str, parent: str, child: str) -> str:
     """Return a message about a pair with keys of RIG.yaml in place of options.
 
     ``parent`` is sensor a of the pair, ``child`` sensor b.

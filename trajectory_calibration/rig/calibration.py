@@ -23,25 +23,25 @@ from trajectory_calibration.geometry.chi_squared import FALSE_ALARM
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.rig.advice import in_rig_words
+from trajectory_calibration.rig.advice import with_rig_keys
 from trajectory_calibration.rig.contradictions import (
-    against_priors,
-    doubt,
-    other_clocks,
-    unconnected,
+    clock_contradictions,
+    contradicting_sensors,
+    prior_contradictions,
+    unconnected_sensors,
 )
 from trajectory_calibration.rig.pairs import (
     calibrate_pairs,
     connected,
     PairAnswer,
     PairFailure,
-    sorted_out,
+    split_failures,
 )
 from trajectory_calibration.rig.result import (
-    judged,
     PairReport,
     RigResult,
     SensorAnswer,
+    statuses,
 )
 from trajectory_calibration.rig.settings import RigConfig
 from trajectory_calibration.rig.tree import build_tree, clock_of, log_scale_std_of
@@ -96,7 +96,7 @@ def calibrate_rig(
     metric = [name for name in trajectories if config.of(name).scale != 'free']
     if metric and names[0] not in metric:
         raise ConfigError(
-            f'the base {names[0]} has scale free, so that the rig would have no metres; choose '
+            f'the base {names[0]} has scale free, so the rig would have no metric scale; choose '
             f'another base, such as {metric[0]}')
     if len(names) == 2:
         rig = _of_two(names[0], names[1], trajectories, config)
@@ -126,7 +126,7 @@ def fuse_results(
         if pairs.count(pair) > 1:
             raise ConfigError(f'two results hold {a} and {b}; needed one of each pair')
     names = _base_first(dict.fromkeys(name for pair in ends for name in pair), config)
-    answers, failures = sorted_out(
+    answers, failures = split_failures(
         PairAnswer(result.frame_a, result.frame_b, result) for result in results)
     return replace(
         _of_answers(answers, failures, names, {}, config),
@@ -153,8 +153,8 @@ def _of_two(
     try:
         result = calibrate(trajectories[base], trajectories[other], calibration)
     except CalibrationError as error:
-        raise type(error)(in_rig_words(str(error), base, other)) from error
-    solved, failures = sorted_out([PairAnswer(base, other, result)])
+        raise type(error)(with_rig_keys(str(error), base, other)) from error
+    solved, failures = split_failures([PairAnswer(base, other, result)])
     if not solved:
         raise _no_answer(failures, 2)
     covariance = solved[0].covariance
@@ -170,7 +170,7 @@ def _of_two(
     return RigResult(
         base=base, sensors=sensors, covariance=covariance, free=(other,), pairs=(pair,),
         contradictions=(), chi_squared=0.0, degrees=0, findings=tuple(
-            replace(found, text=in_rig_words(found.text, base, other))
+            replace(found, text=with_rig_keys(found.text, base, other))
             for found in result.findings), config=config)
 
 
@@ -193,7 +193,7 @@ def _of_answers(
         for group in groups if len(group) > 1]
     sensors = {name: part.sensors[name]
                for name in names for part in parts if name in part.sensors}
-    contradictions = [*unconnected(groups, failures),
+    contradictions = [*unconnected_sensors(groups, failures),
                       *(item for part in parts for item in part.contradictions)]
     of_part = np.repeat(np.arange(len(parts)), [len(part.covariance) for part in parts])
     covariance = np.zeros((len(of_part), len(of_part)))
@@ -220,18 +220,18 @@ def _solve_group(
     tree = build_tree(group, answers, trajectories, config.calibration)
     priors = {k: prior for k, name in enumerate(group)
               if k and (prior := config.of(name).prior).given}
-    doubted, contradictions = doubt(tree)
-    without = tree.fuse(doubted=doubted)
-    contradictions += against_priors(tree, without, priors)
-    fused = tree.fuse(priors, doubted) if priors else without
-    contradictions += other_clocks(group, tree.clocks)
-    left_out = {group[k] for k in doubted if k} if config.leave_out_contradicting else set()
+    untrusted, contradictions = contradicting_sensors(tree)
+    without = tree.fuse(untrusted=untrusted)
+    contradictions += prior_contradictions(tree, without, priors)
+    fused = tree.fuse(priors, untrusted) if priors else without
+    contradictions += clock_contradictions(group, tree.clocks)
+    left_out = {group[k] for k in untrusted if k} if config.leave_out_contradicting else set()
     kept = [k for k, name in enumerate(group) if k and name not in left_out]
     rows = [row for k in kept for row in range(6 * k - 6, 6 * k)]
     sensors = {}
     for k in (0, *kept):
         status, by_motion = (
-            judged(each.of(k), config.calibration) for each in (fused, without))
+            statuses(each.of(k), config.calibration) for each in (fused, without))
         sensors[group[k]] = _answer(
             group[k], group[0], fused.X[k], fused.of(k), config, trajectories,
             status={name: 'prior' if by_motion[name] == 'unobserved' != value else value
@@ -243,7 +243,7 @@ def _solve_group(
             pair.parent, pair.child, residual=fused.residuals[p],
             std=np.sqrt(np.diagonal(tree.C[p, :, p])),
             chi_squared=float(fused.pair_chi_squared[p]), degrees=int(fused.pair_degrees[p]),
-            poses=pair.result.poses, used=not doubted & {*tree.ends[p]})
+            poses=pair.result.poses, used=not untrusted & {*tree.ends[p]})
         for p, pair in enumerate(answers))
     return RigResult(
         base=group[0], sensors=sensors, covariance=fused.covariance[np.ix_(rows, rows)],
@@ -262,7 +262,7 @@ def _answer(
     return SensorAnswer(name=name, base=base, T_base_sensor=X, covariance=covariance, **{
         'frame': config.of(name).frame or (name if trajectory is None else
                                            trajectory.sensor_frame),
-        'status': judged(covariance, config.calibration),
+        'status': statuses(covariance, config.calibration),
         'poses': 0 if trajectory is None else len(trajectory), **known})
 
 
@@ -274,7 +274,7 @@ def _findings(rig: RigResult) -> tuple[Finding, ...]:
     if len(rig.trees) > 1:
         found.append(Finding('rig-groups', (
             f'{len(rig.trees)} groups of sensors share no motion with each other: '
-            f'{"; ".join(map(", ".join, rig.trees.values()))}. Each is answered by itself')))
+            f'{"; ".join(map(", ".join, rig.trees.values()))}. Each is calibrated separately')))
     unobserved = {
         component: [name for name, sensor in rig.sensors.items() if component in sensor.unobserved]
         for component in DEGREES_OF_FREEDOM}
@@ -296,7 +296,7 @@ def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
     """Return the serious findings of single pairs, except unobserved directions."""
     return tuple(
         replace(found, text=f'{answer.parent} - {answer.child}: '
-                + in_rig_words(found.text, answer.parent, answer.child))
+                + with_rig_keys(found.text, answer.parent, answer.child))
         for answer in answers
         for found in answer.result.findings
         if found.level == 'serious' and found.code != 'direction-unobserved')

@@ -27,7 +27,7 @@ from trajectory_calibration.rig.tree import Tree
 from trajectory_calibration.rig.windows import Clock, Grid, WindowLevel
 
 # Most sensors that are found one after the other, each without the earlier ones.
-_MOST_DOUBTED = 3
+_MOST_CONTRADICTING = 3
 
 # Fewest blocks of a drive, to find when a mount moved.
 _BLOCKS = 12
@@ -49,7 +49,7 @@ _OTHER_CLOCK_S = 0.02
 _SIGNIFICANT = 5.0
 
 
-def unconnected(
+def unconnected_sensors(
     groups: Sequence[Sequence[str]], failures: Sequence[PairFailure],
 ) -> list[Contradiction]:
     """Return a contradiction for every sensor without an answer to any other."""
@@ -58,7 +58,7 @@ def unconnected(
         own = [pair for pair in failures if name in (pair.parent, pair.child)]
         if all(pair.no_common_time for pair in own):
             kind, text = 'time', (
-                f'{name} shares no time with any other sensor: check its clock and its file, or '
+                f'{name} has no common time with any other sensor: check its clock and file, or '
                 'raise max_time_offset')
         else:
             reason = next(pair.reason for pair in own if not pair.no_common_time)
@@ -69,37 +69,37 @@ def unconnected(
     return found
 
 
-def doubt(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
+def contradicting_sensors(tree: Tree) -> tuple[frozenset[int], list[Contradiction]]:
     """Return the indices of sensors that contradict the others, and the contradictions."""
-    doubted: frozenset[int] = frozenset()
+    untrusted: frozenset[int] = frozenset()
     found: list[Contradiction] = []
-    for _ in range(_MOST_DOUBTED if len(tree.names) > 2 else 0):
-        worst = (None if doubted else find_moved(tree)) or _worst_in_loops(tree, doubted)
+    for _ in range(_MOST_CONTRADICTING if len(tree.names) > 2 else 0):
+        worst = (None if untrusted else find_moved(tree)) or _worst_in_loops(tree, untrusted)
         if worst is None:
             break
         sensor, item = worst
         found.append(item)
         if sensor is None:
             break
-        doubted |= {sensor}
-    return doubted, found
+        untrusted |= {sensor}
+    return untrusted, found
 
 
 def _worst_in_loops(
-    tree: Tree, doubted: frozenset[int],
+    tree: Tree, untrusted: frozenset[int],
 ) -> tuple[int | None, Contradiction] | None:
     """Return the sensor without which the loops close best; None if they close with all.
 
     The index is None if the sensor cannot be identified.
     """
-    now = tree.fuse(doubted=doubted)
+    now = tree.fuse(untrusted=untrusted)
     p_now = exceedance(now.chi_squared, now.degrees)
     if p_now >= FALSE_ALARM:
         return None
-    candidates = [k for k in range(len(tree.names)) if k not in doubted]
+    candidates = [k for k in range(len(tree.names)) if k not in untrusted]
     tried = []
     for k in candidates:
-        others = tree.fuse(doubted=doubted | {k})
+        others = tree.fuse(untrusted=untrusted | {k})
         # Without the faulty sensor the others agree; of three sensors only one pair remains.
         if others.degrees > 0:
             tried.append((
@@ -118,7 +118,7 @@ def _worst_in_loops(
         gain, degrees, min(1.0, exceedance(gain, degrees) * len(tried)))
 
 
-def against_priors(
+def prior_contradictions(
     tree: Tree, fused: Fused, priors: Mapping[int, Prior],
 ) -> list[Contradiction]:
     """Return a contradiction for every sensor whose prior is far from the motion's answer."""
@@ -133,7 +133,7 @@ def against_priors(
     return found
 
 
-def other_clocks(names: Sequence[str], clocks: Sequence[Clock]) -> list[Contradiction]:
+def clock_contradictions(names: Sequence[str], clocks: Sequence[Clock]) -> list[Contradiction]:
     """Return a contradiction for every sensor whose clock differs from that of most others.
 
     All ``clocks`` have the same epoch.

@@ -37,7 +37,7 @@ _FIXED = 1e-7
 _OWN_SHARE = 0.15
 
 # Root of the weight of a pair that is not trusted.
-_DOUBTED = 1e-4
+_UNTRUSTED = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ def fuse(
     trust = np.ones(len(pairs), dtype=np.bool_) if trusted is None else trusted
     whitening: FloatArray = np.linalg.inv(np.stack(
         [root_of(C[p, :, p]) for p in range(len(pairs))]))
-    whitening[~trust] *= _DOUBTED
+    whitening[~trust] *= _UNTRUSTED
     X = start.copy()
     for _ in range(_MAX_STEPS):
         residual, A = _linearise(X, pairs, answers)

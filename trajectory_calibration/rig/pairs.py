@@ -17,7 +17,7 @@ from trajectory_calibration.executor import Executor
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.pipeline import calibrate
 from trajectory_calibration.result import CalibrationResult
-from trajectory_calibration.rig.advice import in_rig_words
+from trajectory_calibration.rig.advice import with_rig_keys
 from trajectory_calibration.rig.settings import RigConfig
 
 # Most sensors for which every pair is calibrated.
@@ -60,7 +60,7 @@ class PairFailure:
     no_common_time: bool = False
 
 
-def sorted_out(
+def split_failures(
     pairs: Iterable[PairAnswer | PairFailure],
 ) -> tuple[list[PairAnswer], list[PairFailure]]:
     """Return the answers and the failures; an answer without a covariance is a failure."""
@@ -84,7 +84,7 @@ def _calibrated(task: _Task) -> PairAnswer | PairFailure:
     try:
         return PairAnswer(parent, child, calibrate(a, b, settings))
     except CalibrationError as error:
-        return PairFailure(parent, child, in_rig_words(str(error), parent, child),
+        return PairFailure(parent, child, with_rig_keys(str(error), parent, child),
                            no_common_time=isinstance(error, AssociationError))
 
 
@@ -108,11 +108,11 @@ def calibrate_pairs(
         tasks = [(parent, child, _thinned(trajectories[parent], most),
                   _thinned(trajectories[child], most), config) for parent, child in new]
         found.update(zip(map(frozenset, new), _run(tasks, executor), strict=True))
-        return sorted_out(found.values())[0]
+        return split_failures(found.values())[0]
 
     if config.pairs == 'all' or (config.pairs == 'auto' and len(names) <= _EVERY_PAIR):
         extend(combinations(names, 2))
-        return sorted_out(found.values())
+        return split_failures(found.values())
     answers = extend((base, name) for name in names[1:])
     if config.pairs == 'auto':
         hubs = _hubs(answers, base, config)
@@ -121,7 +121,7 @@ def calibrate_pairs(
     # Sensors without an answer to the base may have one to each other.
     extend((one, other) for group, others in combinations(connected(names, answers), 2)
            for one in group for other in others)
-    return sorted_out(found.values())
+    return split_failures(found.values())
 
 
 def _hubs(answers: Sequence[PairAnswer], base: str, config: RigConfig) -> list[str]:

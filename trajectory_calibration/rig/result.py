@@ -289,7 +289,7 @@ def is_rig(path: Path) -> bool:
         return False
 
 
-def judged(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
+def statuses(covariance: FloatArray, config: CalibrationConfig) -> dict[str, str]:
     """Return the status of each component of a (6, 6) covariance by the limits of the settings."""
     return {name: status_of(config, std, rotation=k >= 3) for k, (name, std) in enumerate(
         zip(DEGREES_OF_FREEDOM, deviations_of(covariance).tolist(), strict=True))}

@@ -26,18 +26,18 @@ from trajectory_calibration.rig.noise import (
 )
 from trajectory_calibration.rig.pairs import PairAnswer
 from trajectory_calibration.rig.shared_noise import (
-    carried_to_stated,
     half_shared,
     joint_covariance,
     ROUNDING,
     twist_to_step,
+    with_stated_blocks,
 )
 from trajectory_calibration.rig.windows import (
+    base_track,
     Clock,
     common_grid,
     Grid,
-    levels_of,
-    track_of,
+    window_levels,
     WindowLevel,
 )
 
@@ -99,10 +99,10 @@ class Tree:
         return unobserved
 
     def fuse(
-        self, priors: Mapping[int, Prior] | None = None, doubted: frozenset[int] = frozenset(),
+        self, priors: Mapping[int, Prior] | None = None, untrusted: frozenset[int] = frozenset(),
     ) -> Fused:
-        """Return consistent poses; pairs of ``doubted`` sensors do not influence the others."""
-        trusted = np.array([not doubted & {*pair} for pair in self.ends], dtype=np.bool_)
+        """Return consistent poses; pairs of ``untrusted`` sensors do not influence the others."""
+        trusted = np.array([not untrusted & {*pair} for pair in self.ends], dtype=np.bool_)
         return fuse(self.start, self.ends, self.answers, self.C, priors=priors, trusted=trusted,
                     limits=self.limits)
 
@@ -139,10 +139,10 @@ def build_tree(
     grid = None
     if trajectories:
         grid = common_grid([
-            track_of(trajectories[name], clock, float(scale), X)
+            base_track(trajectories[name], clock, float(scale), X)
             for name, clock, scale, X in zip(names, clocks, scales, start, strict=True)],
             round(settings.max_gap * 1e9))
-        levels = levels_of(grid)
+        levels = window_levels(grid)
     noise: FloatArray | None = None
     sensor_noise: Sequence[SensorNoise | None] = [None] * sensors
     M = np.einsum('pq,ab->paqb', half_shared(sensors, ends), np.eye(6))
@@ -152,7 +152,7 @@ def build_tree(
         M = joint_covariance(levels, noise, ends)
     return Tree(
         tuple(names), ends, clocks, scales, stds, answers,
-        carried_to_stated(M, stated, start, ends), start, limits, tuple(sensor_noise),
+        with_stated_blocks(M, stated, start, ends), start, limits, tuple(sensor_noise),
         tuple(levels), noise, grid)
 
 

@@ -104,7 +104,7 @@ class Grid:
     known: NDArray[np.bool_]
 
 
-def track_of(trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray) -> Track:
+def base_track(trajectory: Trajectory, clock: Clock, scale: float, X: FloatArray) -> Track:
     """Return the track of the base from a sensor with the pose ``X`` (4, 4) in the base."""
     shift_ns = np.rint(1e9 * clock.at(trajectory.stamps_ns)).astype(np.int64)
     return Track(trajectory.stamps_ns + shift_ns,
@@ -129,7 +129,7 @@ def common_grid(tracks: list[Track], max_gap_ns: int) -> Grid:
     return Grid(stamps_ns, poses, known)
 
 
-def levels_of(grid: Grid) -> list[WindowLevel]:
+def window_levels(grid: Grid) -> list[WindowLevel]:
     """Return the windows of every length, the shortest first."""
     # Each node has a pose of the reference, and the pose of the base from each sensor.
     (reference, of_pose), poses = _reference(grid), grid.poses
