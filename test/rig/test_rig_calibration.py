@@ -265,7 +265,7 @@ def test_heights_of_a_planar_vehicle_are_open_for_every_sensor():
     rig = calibrate_rig(run.trajectories)
     assert rig.unobserved == {'b': ('z',), 'c': ('z',)}
     found = next(item for item in rig.findings if item.code == 'direction-unobserved')
-    assert found.text.startswith('z of b, c unobserved')
+    assert found.text.startswith('z of b, c unobservable')
 
 
 def test_a_prior_anchors_a_height():
@@ -384,7 +384,7 @@ def test_settings_survive_plain_data():
     ('a', RigConfig(), ConfigError, '1 sensors'),
     ('abc', RigConfig(base='x'), ConfigError, "sensor 'x' is unknown"),
     ('abc', RigConfig(sensors={'y': SensorSettings()}), ConfigError, "sensor 'y' is unknown"),
-    ('abc', RigConfig(sensors={'a': SensorSettings(scale='free')}), ConfigError, 'no metric scale'),
+    ('abc', RigConfig(sensors={'a': SensorSettings(scale='free')}), ConfigError, 'no metric'),
 ])
 def test_names_that_do_not_fit_are_errors(given, config, error_type, message):
     run = simulate_rig(vehicle(duration=5.0), 0)

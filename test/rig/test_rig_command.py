@@ -318,7 +318,7 @@ def test_open_heights_end_with_status_three(tmp_path, capsys):
                  '--report', str(tmp_path / 'rig.html')]) == 3
     text = capsys.readouterr().out
     assert text.count('unknown') == 3
-    assert 'z of front, rear unobserved' in text
+    assert 'z of front, rear unobservable' in text
     assert '(z unknown)' in (tmp_path / 'rig.html').read_text()
 
 

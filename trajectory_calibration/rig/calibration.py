@@ -221,9 +221,9 @@ def _solve_group(
     priors = {k: prior for k, name in enumerate(group)
               if k and (prior := config.of(name).prior).given}
     untrusted, contradictions = contradicting_sensors(tree)
-    without = tree.fuse(untrusted=untrusted)
-    contradictions += prior_contradictions(tree, without, priors)
-    fused = tree.fuse(priors, untrusted) if priors else without
+    from_motion = tree.fuse(untrusted=untrusted)
+    contradictions += prior_contradictions(tree, from_motion, priors)
+    fused = tree.fuse(priors, untrusted) if priors else from_motion
     contradictions += clock_contradictions(group, tree.clocks)
     left_out = {group[k] for k in untrusted if k} if config.leave_out_contradicting else set()
     kept = [k for k, name in enumerate(group) if k and name not in left_out]
@@ -231,7 +231,7 @@ def _solve_group(
     sensors = {}
     for k in (0, *kept):
         status, by_motion = (
-            statuses(each.of(k), config.calibration) for each in (fused, without))
+            statuses(each.of(k), config.calibration) for each in (fused, from_motion))
         sensors[group[k]] = _answer(
             group[k], group[0], fused.X[k], fused.of(k), config, trajectories,
             status={name: 'prior' if by_motion[name] == 'unobserved' != value else value
@@ -250,7 +250,7 @@ def _solve_group(
         free=tuple(group[k] for k in kept), pairs=reports,
         contradictions=tuple(
             replace(item, left_out=item.sensor in left_out) for item in contradictions),
-        chi_squared=without.chi_squared, degrees=without.degrees,
+        chi_squared=from_motion.chi_squared, degrees=from_motion.degrees,
         findings=(_ASSUMED,) if tree.noise is None and len(answers) > 1 else (), config=config)
 
 
@@ -280,7 +280,7 @@ def _findings(rig: RigResult) -> tuple[Finding, ...]:
         for component in DEGREES_OF_FREEDOM}
     found += [
         Finding('direction-unobserved', (
-            f'{component} of {", ".join(names)} unobserved. Drive '
+            f'{component} of {", ".join(names)} unobservable. Drive '
             f'{"curves" if component in _SHOWN_BY_CURVES else "ramps and banks"}, or '
             'measure it and write prior_translation or prior_rotation (and its _std) below the '
             'sensor in RIG.yaml'), {'component': component, 'sensors': names})

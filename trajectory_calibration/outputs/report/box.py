@@ -104,7 +104,7 @@ def _copies(result: CalibrationResult) -> str:
     forward = Placement.of(result)
     if forward.kept_back:
         return ('<div class="copies"><h3>Copy as</h3><p class="lead">Nothing yet: '
-                f'{escape(forward.kept_back)} is unobserved.</p></div>')
+                f'{escape(forward.kept_back)} is unobservable.</p></div>')
     tabs = ''
     for name, title in _FORMATS.items():
         try:
