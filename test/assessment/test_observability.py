@@ -149,11 +149,11 @@ def test_noise_is_no_turn_about_another_axis():
 def test_directions_with_one_cause_are_one_finding_of_two_lines():
     found, = calibrate(*at_rest_or_straight_ahead(1, speed=2.0)).observability.findings
     assert found.text.startswith(
-        'translation and part of the rotation of sensor unobserved: noise too large')
+        'translation and part of the rotation of sensor unobservable: noise too large')
     assert [item['kind'] for item in found.values['directions']] == [
         *['translation'] * 3, 'rotation']
     every, = findings_of(*np.eye(6))
-    assert every.text.startswith('translation and rotation of lidar unobserved: ')
+    assert every.text.startswith('translation and rotation of lidar unobservable: ')
     assert len(f'serious: {every.text}') <= 2 * 99
     flat_, weak = findings_of([0, 0, 1, 0, 0, 0], gain=9.0) + findings_of(
         [0, 0, 0, 0, 1, 0], [0, 0, 0, 1, 0, 0], gain=0.03)

@@ -173,7 +173,7 @@ def test_what_a_straight_drive_leaves_open_comes_from_the_prior(solver, seeds):
         except ConfigError as refused:
             # Noise may pass for a turn with them, and their translation then hangs on it.
             assert solver in ('park', 'taylor')
-            assert 'unobserved to this solver; use' in str(refused)
+            assert 'unobservable for this solver; use' in str(refused)
             continue
         error = found.absolute_errors(X)
         assert error.e_aR < np.deg2rad(0.3)
@@ -283,7 +283,7 @@ def test_a_prior_of_the_height_does_not_turn_an_unobserved_heading():
 def test_a_translation_that_hangs_on_an_unobserved_rotation_is_not_turned_with_it():
     """On flat ground park does not observe the heading; its translation fits that one."""
     truth = simulate(NOISY_FLAT, 5).T_a_b
-    with pytest.raises(ConfigError, match='unobserved to this solver; use drift_aw'):
+    with pytest.raises(ConfigError, match='unobservable for this solver; use drift_aw'):
         run_with(NOISY_FLAT, 5, solver='park', prior_rotation=text(rpy(truth)),
                  prior_rotation_std='1')
 

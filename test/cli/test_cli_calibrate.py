@@ -439,7 +439,7 @@ def test_motion_about_one_axis_is_status_3(tmp_path, capsys):
     assert (status, err) == (3, '')
     assert next(line.split() for line in out.splitlines() if line.startswith('  z ')) == [
         'z', 'unknown', 'unknown']
-    assert 'z of sensor_a unobserved' in out or 'along z of sensor_a' in out
+    assert 'z of sensor_a unobservable' in out or 'along z of sensor_a' in out
     assert '--prior-translation=' in out
 
 

@@ -124,7 +124,7 @@ def test_an_unobserved_direction_is_flagged_in_every_format(capsys, tmp_path):
             capsys, 'export', tmp_path / 'result.yaml', '--as', name, '--output',
             Path(tmp_path, exporter.file_name), '--force')
         assert (status, out) == (3, '')
-        assert 'unobserved: z of' in err
+        assert 'unobservable: z of' in err
         if not exporter.is_binary:
             assert 'unobserved' in Path(tmp_path, exporter.file_name).read_text().lower()
 
@@ -136,7 +136,7 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
     assert status == 3
     assert [path.name for path in folder.iterdir()] == ['result.yaml']
     assert err == (
-        'not exported: z of sensor_b in sensor_a unobserved. To write it all the same: '
+        'not exported: z of sensor_b in sensor_a unobservable. To write it anyway: '
         f"--allow-unobserved, here or in export '{folder}/result.yaml' --as FORMAT\n")
     assert CalibrationResult.load(folder / 'result.yaml').to_dict()['T_a_b']['status'][
         'z'] == 'unobserved'
@@ -144,7 +144,7 @@ def test_an_arbitrary_number_leaves_the_result_only_when_it_is_asked_for(capsys,
         export = 'export', folder / 'result.yaml', '--as', name, '--output', tmp_path / 'x'
         status, out, err = run(capsys, *export, '--force')
         assert (status, out) == (1, '')
-        assert err.startswith('error: not exported: z of sensor_b in sensor_a unobserved. ')
+        assert err.startswith('error: not exported: z of sensor_b in sensor_a unobservable. ')
         assert not (tmp_path / 'x').exists()
     status, out, err = run(
         capsys, 'export', folder / 'result.yaml', '--as', 'urdf', '--allow-unobserved')

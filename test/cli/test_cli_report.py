@@ -37,7 +37,7 @@ def test_an_open_direction_is_unknown_in_every_surface_and_status_3(planar, tmp_
     assert 'Incomplete' in text
     status, out, err = run(capsys, 'calibrate', *planar, *SOLVER, '-q')
     assert (status, out.split()[2]) == (3, 'unknown')
-    assert any(line.startswith('serious: translation along z of sensor_a unobserved')
+    assert any(line.startswith('serious: translation along z of sensor_a unobservable')
                for line in err.splitlines())
     status, out, _ = run(capsys, 'calibrate', *planar, *SOLVER, '--format', 'json')
     assert status == 3

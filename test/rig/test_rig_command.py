@@ -339,8 +339,8 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
     command.append('--force')
     assert main(command) == 3
     assert capsys.readouterr().err == (
-        'not exported: z of camera in velodyne; z of rear in velodyne unobserved. '
-        f'To write it all the same: --allow-unobserved, here or in export {out}/rig.yaml --as '
+        'not exported: z of camera in velodyne; z of rear in velodyne unobservable. '
+        f'To write it anyway: --allow-unobserved, here or in export {out}/rig.yaml --as '
         'FORMAT\n')
     assert [path.name for path in out.iterdir()] == ['rig.yaml']
     # Of the two only the camera has a known height.
@@ -348,7 +348,7 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
         'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
         'prior_translation_std: 0.01'))
     assert main(command) == 3
-    assert 'not exported: z of rear in velodyne unobserved. ' in capsys.readouterr().err
+    assert 'not exported: z of rear in velodyne unobservable. ' in capsys.readouterr().err
     assert (out / 'camera' / 'extrinsic.urdf').is_file()
     assert not (out / 'rear').exists()
     assert 'camera' in (out / 'rig.urdf').read_text()

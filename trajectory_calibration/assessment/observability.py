@@ -298,7 +298,7 @@ def _describe(observed: Observability, frame: str) -> tuple[Finding, ...]:
             found.append(Finding('direction-weak', f'{where} weak: standard deviation {std} '
                                  f'{_UNITS[group[0].kind]}. {why}', values))
         else:
-            found.append(Finding('direction-unobserved', f'{where} unobserved: {why}, or add '
+            found.append(Finding('direction-unobserved', f'{where} unobservable: {why}, or add '
                                  f'{_priors(group)}, or set allow_unobserved (node)', values))
     return tuple(found)
 

@@ -68,7 +68,7 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
     # If it is mostly about unobserved axes, the prior contradicts nothing that is known.
     if np.linalg.norm(axes.T @ rotation) > 0.7 * np.linalg.norm(rotation):
         # The translation belongs to a rotation that is arbitrary.
-        check = ('mostly about an axis that the motion leaves unobserved to this solver; use '
+        check = ('mostly about an axis that is unobservable for this solver; use '
                  f'{DEFAULT_SOLVER}, or drive so that the motion shows the rotation, about two '
                  'axes')
         if not np.isfinite(prior.std[3:]).any():

@@ -41,8 +41,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'calibrate', help='find the extrinsic of two trajectories',
         usage='%(prog)s [options] A B',
         description='Find the pose of sensor b in sensor a from two trajectories.',
-        epilog='Exit status: 0 done; 3 done, but a direction is unobserved; 1 no answer; 2 wrong '
-        'usage.')
+        epilog='Exit status: 0 done; 3 done, but a direction is unobservable; 1 no answer; 2 '
+        'wrong usage.')
     add_input_arguments(parser)
     add_truth_argument(parser)
     group = parser.add_argument_group('output')

@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         'sensor a,\nthe child sensor b, unless --invert, --parent or --child say otherwise.',
         epilog=f'formats:\n{formats}\n\nTRANSFORM is x,y,z,roll,pitch,yaw (metres, radians, as in '
         'URDF),\nx,y,z,qx,qy,qz,qw, or a file.\n\nA rig is written as a whole, as '
-        f'{", ".join(RIG_FILES)}.\n\nExit status: 0 done; 3 written with an unobserved '
+        f'{", ".join(RIG_FILES)}.\n\nExit status: 0 done; 3 written with an unobservable '
         'direction\n(--allow-unobserved); 1 not written.')
     parser.add_argument('result', type=Path, metavar='RESULT', help='result.yaml or rig.yaml')
     parser.add_argument(
@@ -61,8 +61,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         '--output', type=Path, metavar='FILE', help='file to write (default: standard output)')
     parser.add_argument('--force', action='store_true', help='overwrite the file')
     parser.add_argument(
-        '--allow-unobserved', action='store_true', help='write an unobserved direction all '
-        'the same, as an arbitrary number with a comment')
+        '--allow-unobserved', action='store_true', help='write unobservable directions, too, '
+        'as arbitrary numbers with a comment')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         items = placements(rig)
     hidden = kept_back(items)
     if hidden and not arguments.allow_unobserved:
-        print(f'error: not exported: {hidden} unobserved. Calibrate with a ramp or a prior; or '
+        print(f'error: not exported: {hidden} unobservable. Calibrate with a ramp or a prior; or '
               'export an arbitrary number with --allow-unobserved', file=sys.stderr)
         return exit_status.NO_ANSWER
     if rig is not None:
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f'wrote {arguments.output}: {exporter.sentence}', file=sys.stderr)
     unobserved = ', '.join(name for item in items for name in item.unobserved)
     if unobserved:
-        print(f'warning: unobserved: {unobserved}; the numbers are arbitrary along it',
+        print(f'warning: unobservable: {unobserved}; the numbers are arbitrary along it',
               file=sys.stderr)
     incomplete = unobserved or (rig is not None and rig.unplaced)
     return exit_status.INCOMPLETE if incomplete else exit_status.DONE

@@ -65,7 +65,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         usage='%(prog)s [options] RIG.yaml',
         description='Find the poses of all sensors of a vehicle in its base, consistent round '
         'every loop, and name the sensor that does not fit.',
-        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unobserved; '
+        epilog='Exit status: 0 done; 3 done, but a sensor or a direction of it is unobservable; '
         '1 no answer; 2 wrong usage.')
     parser.add_argument(
         'rig', metavar='RIG.yaml', type=Path, nargs='?',
@@ -83,7 +83,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help='leave sensors that contradict the others out of the answer')
     parser.add_argument(
         '--allow-unobserved', action='store_true',
-        help='export unobserved directions, too, as arbitrary numbers with a comment')
+        help='export unobservable directions, too, as arbitrary numbers with a comment')
     group = parser.add_argument_group('output')
     group.add_argument(
         '--ground-truth', type=Path, metavar='FILE', help='a saved rig with known poses')

@@ -122,8 +122,8 @@ def write_answer(
     except ResultError as error:
         raise ResultError(f'{error}; give another --output') from error
     if hidden:
-        print(f'not exported: {hidden} unobserved. To write it all the same: --allow-unobserved, '
-              f'here or in export {shlex.quote(str(path))} --as FORMAT', file=sys.stderr)
+        print(f'not exported: {hidden} unobservable. To write it anyway: --allow-unobserved, here '
+              f'or in export {shlex.quote(str(path))} --as FORMAT', file=sys.stderr)
     if removed:
         print(f'removed from {folder}, as of an earlier answer: '
               f'{", ".join(str(path.relative_to(folder)) for path in removed)}', file=sys.stderr)

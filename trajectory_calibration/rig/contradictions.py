@@ -190,7 +190,7 @@ def find_moved(tree: Tree) -> tuple[int, Contradiction] | None:
             tried: float = len(cuts)
             if jump is not None:
                 chi_squared -= float((change - jump) @ weight @ (change - jump))
-                # Holds for a jump of the track alone of any size.
+                # Bound of the false alarm rate for a jump of the track alone, of any size.
                 change, degrees, tried = jump, 1, 0.5 * len(jumps)
             p_value = exceedance_of_ratio(chi_squared, degrees, noise_degrees) * tried
             found.append((min(1.0, p_value * len(tree.names)), -chi_squared, degrees, s, sample,
