@@ -132,6 +132,6 @@ def _print(
         result, truth, verbose=arguments.verbose, terminal=Terminal.of())
     print_as(arguments.format, result.to_dict(truth), text)
     if arguments.format == 'text' and arguments.quiet:
-        for found in result.findings:
-            if found.level == 'serious':
-                print(f'serious: {" ".join(found.text.split())}', file=sys.stderr)
+        for finding in result.findings:
+            if finding.level == 'serious':
+                print(f'serious: {" ".join(finding.text.split())}', file=sys.stderr)

@@ -68,13 +68,13 @@ def run(arguments: argparse.Namespace) -> int:
 def _inspect_file(path: Path, options: InputOptions) -> dict[str, Any]:
     with progress('reading'):
         trajectory, read_as = load_file(str(path), path.name, options)
-    found = inspect_trajectory(trajectory, str(path), 'file')
+    data = inspect_trajectory(trajectory, str(path), 'file')
     # The path is printed above the findings; file formats have no frame names.
-    for one in found['findings']:
-        one['text'] = one['text'].removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
-    found.update(sensor_frame=None, world_frame=None, read_as=read_as,
-                 warnings=[one['text'] for one in found['findings']])
-    return {'path': str(path), 'notes': [], 'trajectories': [found], 'other': []}
+    for finding in data['findings']:
+        finding['text'] = finding['text'].removeprefix(f'{path.name}: ').removeprefix(f'{path}: ')
+    data.update(sensor_frame=None, world_frame=None, read_as=read_as,
+                warnings=[finding['text'] for finding in data['findings']])
+    return {'path': str(path), 'notes': [], 'trajectories': [data], 'other': []}
 
 
 def _inspect_bag(path: Path) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
             if channel.topic not in reader.serving and channel.msgtype != TF]
         notes = reader.notes
     # Notes are printed once for the bag, not again with each topic.
-    found = [_inspect_topic(replace(track, warnings=tuple(
+    topics = [_inspect_topic(replace(track, warnings=tuple(
         warning for warning in track.warnings if warning not in notes)))
         for track in tracks.values()]
     transforms = {'transforms': {
@@ -101,18 +101,18 @@ def _inspect_bag(path: Path) -> dict[str, Any]:
         'edges': [f'{edge}{" (static)" if edge.static else ""}' for edge in tree.edges],
         'pairs': pairs}}
     return {'path': str(path), 'notes': notes,
-            'trajectories': [item for item in found if 'error' not in item],
-            'other': [item for item in found if 'error' in item] + others,
+            'trajectories': [item for item in topics if 'error' not in item],
+            'other': [item for item in topics if 'error' in item] + others,
             **(transforms if tree.frames else {})}
 
 
 def _inspect_topic(track: TopicTrack) -> dict[str, Any]:
     """Describe a topic, or return the reason why it is no trajectory."""
     try:
-        found = inspect_trajectory(track.to_trajectory(), track.topic, track.msgtype)
+        data = inspect_trajectory(track.to_trajectory(), track.topic, track.msgtype)
     except SourceError as error:
         return {'topic': track.topic, 'msgtype': track.msgtype, 'messages': track.messages,
                 'error': str(error)}
     # For a pair of TF frames the messages are not counted: each holds other transforms, too.
     counted = {} if track.topic.startswith(TF_PREFIX) else {'messages': track.messages}
-    return {**found, **counted}
+    return {**data, **counted}

@@ -240,12 +240,12 @@ def report_rig(arguments: argparse.Namespace) -> int:
     others = [name for name, trajectory in trajectories.items()
               if name in rig.sensors and recording_of(trajectory) not in rig.recordings]
     if rig.recordings and others:
-        found = Finding('recording-other', (
+        finding = Finding('recording-other', (
             f'{", ".join(others)} of {arguments.a}: not the trajectories of {arguments.result}. '
             'The page shows how well its answer fits them. Give those that it was made from, or '
             'use verify'))
-        rig = replace(rig, findings=(found, *rig.findings))
-        print(f'{found.level}: {found}', file=sys.stderr)
+        rig = replace(rig, findings=(finding, *rig.findings))
+        print(f'{finding.level}: {finding}', file=sys.stderr)
     write_rig_page(rig, trajectories, record_of(arguments, sources), page)
     print(f'wrote {page}')
     return _status_of(rig)
@@ -260,9 +260,9 @@ def verify_rig(
         saved.config, base=saved.base, calibration=settings, sensors={
             name: SensorSettings(scale=saved.config.of(name).scale) for name in trajectories})
     with progress('verifying'):
-        found = compare_rigs(saved, calibrate_rig(trajectories, config))
-    print_as(arguments.format, rig_to_data(found), rig_to_text(found))
-    return _status([found])
+        comparison = compare_rigs(saved, calibrate_rig(trajectories, config))
+    print_as(arguments.format, rig_to_data(comparison), rig_to_text(comparison))
+    return _status([comparison])
 
 
 def compare_saved(paths: Sequence[Path], arguments: argparse.Namespace) -> int:

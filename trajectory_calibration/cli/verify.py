@@ -50,20 +50,20 @@ def run(arguments: argparse.Namespace) -> int:
     config = _config(result.config, arguments)
     a, b = load_pair(arguments, (result.frame_a, result.frame_b))
     with progress('verifying'):
-        found = verify(result, a, b, config)
+        verification = verify(result, a, b, config)
     if arguments.format == 'json':
-        print(json.dumps(found.to_dict()))
-        return found.exit_status
-    print(found.describe())
-    if resolution := found.describe_resolution():
+        print(json.dumps(verification.to_dict()))
+        return verification.exit_status
+    print(verification.describe())
+    if resolution := verification.describe_resolution():
         print(f'smallest shift that would have been noticed: {resolution}')
     # Not those of directions: the verdict names them, and their advice of a prior is no use here.
-    findings = () if found.result is None else found.result.findings
-    for line in (*(f'note: {note}' for note in found.notes), *(
+    findings = () if verification.result is None else verification.result.findings
+    for line in (*(f'note: {note}' for note in verification.notes), *(
             f'{item.level}: {item.text}' for item in findings
             if not item.code.startswith('direction-'))):
         print(line)
-    return found.exit_status
+    return verification.exit_status
 
 
 def _config(saved: CalibrationConfig, arguments: argparse.Namespace) -> CalibrationConfig:

@@ -36,11 +36,11 @@ def read_truth(name: str | None, frame_a: str, frame_b: str) -> FloatArray | Non
     """Return the known (4, 4) pose of b in a, or None without a file."""
     if name is None:
         return None
-    found = read_extrinsic(name, frame_a, frame_b)
-    if 'inverted' in found.how:
+    truth = read_extrinsic(name, frame_a, frame_b)
+    if 'inverted' in truth.how:
         # Of these formats a user may expect the other direction.
-        print(f'ground truth: {found.how}', file=sys.stderr)
-    return found.T_a_b
+        print(f'ground truth: {truth.how}', file=sys.stderr)
+    return truth.T_a_b
 
 
 def print_as(form: str, data: dict[str, Any], text: str) -> None:

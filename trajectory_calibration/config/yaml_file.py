@@ -46,10 +46,10 @@ def load_yaml(
     path: Path, build: Callable[[dict[str, Any]], _Built], error: type[CalibrationError],
     what: str, otherwise: str,
 ) -> _Built:
-    """Return what ``build`` makes of the names and values of a file.
+    """Return ``build`` of the mapping in a YAML file.
 
-    Raises ``error`` with the path, as of several files a person must know which: that it cannot
-    be read as ``what``, holds ``otherwise`` in place of names and values, or what ``build`` says.
+    Raises ``error``, with the path in the message, if the file cannot be read as ``what``, if it
+    holds no mapping (message ``otherwise``), or if ``build`` raises ``error``.
     """
     data = read_yaml(path, what, error)
     if not isinstance(data, dict):

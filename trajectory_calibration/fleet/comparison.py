@@ -193,7 +193,7 @@ def row(entry: Entry) -> dict[str, Any]:
             scale=result.scale, time_offset_s=result.time_offset_s,
             residual_m=result.metrics.e_rt, residual_deg=float(np.rad2deg(result.metrics.e_rR)),
             motions=result.motions,
-            findings=' '.join(dict.fromkeys(found.code for found in result.findings)))
+            findings=' '.join(dict.fromkeys(finding.code for finding in result.findings)))
     return cells
 
 

@@ -118,9 +118,9 @@ def read_jobs(
 
 
 def _expand(pattern: str) -> list[str]:
-    found = sorted(glob.glob(pattern, recursive=True), key=natural_key)  # noqa: PTH207
+    paths = sorted(glob.glob(pattern, recursive=True), key=natural_key)  # noqa: PTH207
     # A missing path is kept, to be reported as a recording without an answer.
-    return found or ([] if glob.has_magic(pattern) else [pattern])
+    return paths or ([] if glob.has_magic(pattern) else [pattern])
 
 
 def _from_path(path: str, a: str | None, b: str | None, config: CalibrationConfig) -> Job:

@@ -71,20 +71,20 @@ class Verification:
 
     def describe(self) -> str:
         """Return the verdict in one sentence."""
-        found = self.difference
-        if self.verdict == MOVED and found is not None:
-            return f'moved by {found.describe()}'
+        step = self.difference
+        if self.verdict == MOVED and step is not None:
+            return f'moved by {step.describe()}'
         held, untested, not_known = (
             [name for name, status in self.status.items() if status == each]
             for each in (HOLDS, CANNOT_TELL, NOT_KNOWN))
-        if self.verdict == CANNOT_TELL and found is None:
+        if self.verdict == CANNOT_TELL and step is None:
             return f'cannot tell: {self.needs}'
         if self.verdict == CANNOT_TELL:
             others = f'; {", ".join(held)} hold' if held else ''
             return f'cannot tell {", ".join(untested)} (needs: {self.needs}){others}'
         sentence = f'holds in {len(held)} of 6 directions' if not_known else HOLDS
-        weak = [] if found is None else [
-            axis for axis, name, is_weak in zip(AXES, DEGREES_OF_FREEDOM, found.weak, strict=True)
+        weak = [] if step is None else [
+            axis for axis, name, is_weak in zip(AXES, DEGREES_OF_FREEDOM, step.weak, strict=True)
             if is_weak and name in held]
         if weak:
             sentence += f', weakly tested {", ".join(weak)}'
@@ -102,15 +102,15 @@ class Verification:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
-        found = self.difference
+        step = self.difference
         return {
             'verdict': self.verdict,
             'sentence': self.describe(),
             'exit_status': self.exit_status,
             'status': dict(self.status),
             'needs': self.needs,
-            'difference': None if found is None else found.to_dict(),
-            'resolution': None if found is None else in_units('', found.resolution),
+            'difference': None if step is None else step.to_dict(),
+            'resolution': None if step is None else in_units('', step.resolution),
             'notes': list(self.notes),
             'result': None if self.result is None else self.result.to_dict(),
         }
@@ -168,13 +168,14 @@ def verify(
         config or CalibrationConfig.from_dict(result.config.to_dict()), allow_unobserved=True,
         prior_translation='', prior_translation_std='', prior_rotation='', prior_rotation_std='')
     try:
-        found = calibrate(trajectory_a, trajectory_b, config)
+        new_result = calibrate(trajectory_a, trajectory_b, config)
     except (AssociationError, MotionError, SolverError) as error:
         return cannot_tell(str(error))
-    reasons = [finding.text for finding in found.findings if finding.code in _NO_EVIDENCE]
-    if found.covariance is None or reasons:
+    reasons = [finding.text for finding in new_result.findings if finding.code in _NO_EVIDENCE]
+    if new_result.covariance is None or reasons:
         return cannot_tell(' '.join(reasons) or 'the solver gave no covariance')
-    old, new = (result.T_a_b, result.covariance), (found.T_a_b, found.covariance)
+    old = result.T_a_b, result.covariance
+    new = new_result.T_a_b, new_result.covariance
     step = difference(old, new, config)
     if step.differs and _is_inverse(old, new, config):
         raise ResultError(
@@ -188,8 +189,8 @@ def verify(
     # An empty set is no confirmation: the saved result may have no observable direction.
     verdict = (MOVED if step.differs else
                HOLDS if {*status.values()} - {NOT_KNOWN} == {HOLDS} else CANNOT_TELL)
-    needs = '' if verdict != CANNOT_TELL else _needs(found.observability)
-    return Verification(verdict, status, step, needs, found, notes)
+    needs = '' if verdict != CANNOT_TELL else _needs(new_result.observability)
+    return Verification(verdict, status, step, needs, new_result, notes)
 
 
 def _is_inverse(

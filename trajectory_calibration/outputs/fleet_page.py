@@ -70,9 +70,9 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
         for items in (results, stretches))
     std = TO_DEGREES * [np.zeros(6) if item.std is None else item.std for item in results]
     mean_std = [TO_DEGREES * np.sqrt(np.diagonal(item.covariance)) for item in stretches]
-    places = _date_coordinates(results)
+    x = _date_coordinates(results)
     # Boundaries of the stretches.
-    edges = np.concatenate([[-0.05], 0.5 * (places[1:] + places[:-1]), [1.05]])[
+    edges = np.concatenate([[-0.05], 0.5 * (x[1:] + x[:-1]), [1.05]])[
         np.cumsum([0, *(len(item.names) for item in stretches)])].tolist()
     dates = [(item.start_utc or '').partition('T')[0] for item in (results[0], results[-1])]
     names = [entry.name for entry in comparison.entries if entry.result is not None]
@@ -84,7 +84,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
         reach = _BAR * std[known, k]
         plot = Plot((-0.1, 1.1), limits(values[known, k] - reach, values[known, k] + reach),
                     y_label=unit, x_ticks=[(0, dates[0]), (1, dates[1])])
-        reading = []
+        texts = []
         for n, (left, right) in enumerate(pairwise(edges) if known else ()):
             mean, bar = means[n, k], _BAR * mean_std[n][k]
             plot.band([left, right], [mean - bar] * 2, [mean + bar] * 2, 'band-answer')
@@ -92,17 +92,17 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
             if n:
                 plot.vertical(left, 'change')
             row = Row(name, mean, mean_std[n][k], unit, OBSERVED, 0.0, 0.0)
-            reading.append(f'{row} {unit}'.replace('+-', '±'))
+            texts.append(f'{row} {unit}'.replace('+-', '±'))
         for i in known:
             plot.error_bar(
-                places[i], values[i, k], std[i, k],
+                x[i], values[i, k], std[i, k],
                 'near pale' if status[i] == WEAK else 'near',
                 f'{names[i]}: {values[i, k]:.4g} +- {std[i, k]:.2g} {unit}')
         if not known:
             plot.write(0.5, 0.5, 'unknown in every recording', 'middle')
         charts.append(Figure(
-            'chart', plot, 'Unknown.' if not known else f'Mean {", then ".join(reading)}.'
-            if reading else 'No mean is formed.', names={'number': name.replace(' ', ' about ')}))
+            'chart', plot, 'Unknown.' if not known else f'Mean {", then ".join(texts)}.'
+            if texts else 'No mean is formed.', names={'number': name.replace(' ', ' about ')}))
     return charts
 
 

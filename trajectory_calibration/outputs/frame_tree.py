@@ -61,12 +61,12 @@ def relative_pose(
 
     None in place of both if the frames are in separate trees.
     """
-    above = {frame: (T, moving) for frame, T, moving in ancestors(edges, parent)}
+    of_parent = {frame: (T, moving) for frame, T, moving in ancestors(edges, parent)}
     for frame, T_frame_child, moving in ancestors(edges, child):
-        if frame in above:
-            T_frame_parent, moves = above[frame]
+        if frame in of_parent:
+            T_frame_parent, moving_parent = of_parent[frame]
             T: FloatArray = se3.inverse(T_frame_parent) @ T_frame_child
-            return T, moving or moves
+            return T, moving or moving_parent
     return None
 
 

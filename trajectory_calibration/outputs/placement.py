@@ -46,11 +46,11 @@ class Placement:
 
     def with_unobserved(self, unobserved: Sequence[str], config: CalibrationConfig) -> Placement:
         """Return the same with ``unobserved`` degrees of freedom."""
-        where = f' of {self.child} in {self.parent}'
+        suffix = f' of {self.child} in {self.parent}'
         hidden = unobserved and not config.allow_unobserved
         return replace(
-            self, unobserved=tuple(name + where for name in unobserved),
-            kept_back=', '.join(unobserved) + where if hidden else '')
+            self, unobserved=tuple(name + suffix for name in unobserved),
+            kept_back=', '.join(unobserved) + suffix if hidden else '')
 
     def inverted(self) -> Placement:
         """Return the pose of the parent in the child."""
