@@ -140,7 +140,7 @@ class Comparison:
         undated = answers - sum(_minute(entry) is not None for entry in self.entries)
         if 0 < undated < answers:
             lines.append(f'{undated} of {answers} without a date (a clock that was not set?): '
-                         'they keep their place in the given order')
+                         'kept in the given order')
         failed = sum(entry.result is None and not entry.repeated for entry in self.entries)
         if failed:
             lines.append(f'{failed} of {len(self.entries)} gave no answer')

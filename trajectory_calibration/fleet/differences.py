@@ -102,10 +102,10 @@ def difference(
     # Half of the false-alarm probability is for the joint test, half for the six single axes.
     limit = np.sqrt(quantile(1, 0.5 * probability / 6))
     testable = std <= limits
-    alone = testable & (np.abs(step) > limit * std)
-    differs = bool(alone.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
+    significant = testable & (np.abs(step) > limit * std)
+    differs = bool(significant.any() or (dof and chi_squared > quantile(dof, 0.5 * probability)))
     order = np.argsort(-np.abs(step) / std)
-    named = tuple(int(k) for k in order if alone[k]) or tuple(map(int, order[:1]))
+    named = tuple(int(k) for k in order if significant[k]) or tuple(map(int, order[:1]))
     # For detection in 95 % of the cases: one-sided, hence 0.1.
     power = quantile(1, 0.1)**0.5
     return Difference(
