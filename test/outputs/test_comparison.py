@@ -32,7 +32,7 @@ def result():
 
 
 def fleet(result, count, step_of=None, seed=0, covariance=None, errors=1.0):
-    """Return answers of one truth, moved by ``step_of`` each, with errors as stated."""
+    """Return answers of one truth with steps ``step_of`` and errors of their covariances."""
     rng = np.random.default_rng(seed)
     P = np.diag([4e-6, 4e-6, 1e-5, 1e-6, 1e-6, 2e-6]) if covariance is None else covariance
     entries = []
@@ -101,7 +101,7 @@ def test_a_recording_that_is_given_twice_counts_once(result):
     assert 'same recording as fleet0' in fleet_page(found)
     with pytest.raises(ResultError, match='to compare; again: same recording as fleet0'):
         compare([entries[0], Entry('again', entries[0].result)])
-    # What older versions saved does not say of which recording it is.
+    # Results of older versions have no checksum of the recording.
     unknown = [Entry(item.name, dataclasses.replace(item.result, recording=None))
                for item in (entries[0], entries[0])]
     assert compare(unknown).describe() == ['AGREE: 2 answers are of one extrinsic (chi2/dof 0)']

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Every export holds the same transform, in the direction that its sentence says."""
+"""Every export holds the same transform, in the direction of its sentence."""
 
 import io
 import json
@@ -25,7 +25,7 @@ from trajectory_calibration.outputs.extrinsic_file import (
 from trajectory_calibration.outputs.frame_tree import FrameTree
 from trajectory_calibration.outputs.placement import Placement
 
-# Names that YAML, XML, a shell, xacro or Python take for something else.
+# Names that are special in YAML, XML, a shell, xacro or Python.
 NAMES = [('lidar', 'camera'), ('off', 'y'), ('1:30', '2020-01-01'), ("a'b", 'c"d'), ('<a>', '&b'),
          ('a b', '#c'), ('é', 'a--b'), ('${x}', '$y'), ('\\n', 'c:d')]
 
@@ -195,7 +195,7 @@ def test_a_name_that_xacro_cannot_hold_is_refused(tmp_path):
             EXPORTS['xacro'].write(item(np.eye(4), name))
     write_exports(item(np.eye(4)), tmp_path)
     assert len(write_exports(item(np.eye(4), 'a b'), tmp_path)) == len(EXPORTS) - 1
-    # That of the earlier frames has gone.
+    # The file of the earlier frames is removed.
     assert not (tmp_path / 'extrinsic.xacro').exists()
 
 
@@ -207,7 +207,7 @@ def test_two_frames_of_one_name_are_refused():
 
 
 def sampled(P, T, change):
-    """Return the covariance of what ``change`` makes of poses scattered by P about T."""
+    """Return the covariance of ``change`` applied to random poses with covariance P about T."""
     rng = np.random.default_rng(0)
     steps = rng.multivariate_normal(np.zeros(6), P, 20000)
     moved = np.array([change(pose) for pose in se3.moved(T, steps)])

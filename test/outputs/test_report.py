@@ -27,7 +27,7 @@ _VOID = {'meta', 'link', 'br', 'input', 'path', 'rect', 'circle', 'img', 'hr'}
 
 
 class Page(HTMLParser):
-    """Checks that every element that opens closes, and gathers text and attributes."""
+    """Checks that every element is closed, and collects text and attributes."""
 
     def __init__(self, text):
         super().__init__()
@@ -84,7 +84,7 @@ def test_reads_light_dark_printed_and_without_scripts(page):
     for rule in ('prefers-color-scheme:dark', '@media print', 'max-width:640px', 'viewport'):
         assert rule in page
     without = re.sub(r'<script.*?</script>', '', page, flags=re.DOTALL)
-    # Every figure is there as a drawing, and every text to copy as text.
+    # Figures are drawings and texts to copy are text, without scripts.
     parsed = Page(without)
     assert parsed.tags.count('figure') >= 24
     assert parsed.tags.count('svg') >= 24
@@ -125,7 +125,7 @@ def test_numbers_in_the_page_are_finite(page):
 def test_size_and_time(poses):
     scenario = SCENARIOS['offroad']
     pair = simulate(scenario, seed=2)
-    # Of one drive as many poses as asked for: the shape of the paths decides neither.
+    # One drive with different numbers of poses, so that the paths have the same shape.
     stamps = np.linspace(pair.a.stamps_ns[0], pair.a.stamps_ns[-1], poses).astype(np.int64)
     from trajectory_calibration.geometry.interpolation import interpolate
     a, b = (Trajectory(stamps, interpolate(t.stamps_ns, t.poses, stamps, max_gap_ns=None),
@@ -139,7 +139,7 @@ def test_size_and_time(poses):
         page = render_report(result, a, b)
         best = min(best, time.process_time() - start)
     assert len(page.encode()) <= 300_000
-    # Of this process: other work on the machine does not count. Twice the time measured.
+    # CPU time of this process, without other work on the machine. Twice the measured time.
     assert best <= (1.0 if poses < 3000 else 4.0)
 
 
@@ -152,7 +152,7 @@ def test_error_bars_of_quarters_are_honest_and_knowledge_grows():
     assert z.shape == (4, 6)
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.7
     assert np.mean(np.abs(z) < 3) > 0.9
-    # More of the drive never knows less, and all of it knows what the answer states.
+    # Standard deviations never grow with more data; the last ones are those of the answer.
     own = np.sqrt(np.diag(result.covariance))
     own[3:] = np.rad2deg(own[3:])
     assert (np.diff(parts.growth_std, axis=0) <= 1e-9).all()
@@ -177,7 +177,7 @@ def test_flat_floor_shows_no_number_along_z():
     assert 'unknown along the stripe' in page
     parts = report_data(result, pair.a, pair.b).parts
     assert np.isnan(parts.growth_std[:, 2]).all()
-    # The unobserved direction does not spill into the others.
+    # The unobserved direction does not affect the others.
     assert (parts.growth_std[-1, :2] < 0.5).all()
 
 

@@ -26,7 +26,7 @@ from trajectory_calibration.outputs.terminal import Terminal
 
 
 def make(std=(0.01, 0.02, 0.03, 0.1, 0.2, 0.3), R=None, status=None, findings=(), **config):
-    """Return a result with deviations in metres and degrees."""
+    """Return a result with standard deviations in metres and degrees."""
     status = dict.fromkeys(DEGREES_OF_FREEDOM, 'observed') | (status or {})
     sigma = np.concatenate([std[:3], np.deg2rad(std[3:])])
     return CalibrationResult(

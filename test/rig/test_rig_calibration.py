@@ -43,7 +43,7 @@ def vehicle(names='abc', duration=40.0, noise=SLAM, **more):
 
 @pytest.fixture(scope='module')
 def mixed():
-    """Three sensors of other rates and clocks, one of them monocular, and their rig."""
+    """Three sensors with different rates and clocks, one of them monocular, and their rig."""
     run = simulate_rig(rig_scenario(3, 60.0), 1)
     return run, calibrate_rig(run.trajectories, RigConfig(sensors=FREE))
 
@@ -52,7 +52,7 @@ def error(result, run, name):
     return se3.step_between(run.T_base_sensor[name], result.sensors[name].T_base_sensor)
 
 
-def test_every_sensor_is_found_within_its_deviations(mixed):
+def test_every_sensor_is_found_within_its_standard_deviations(mixed):
     run, rig = mixed
     assert list(rig.sensors) == ['lidar', 'gnss', 'mono']
     for name in rig.free:
@@ -111,7 +111,7 @@ def test_two_sensors_give_the_answer_of_calibrate():
 
 @pytest.mark.parametrize('saved', [False, True])
 @pytest.mark.parametrize('names', ['ab', 'abc'])
-def test_scale_and_clock_are_no_surer_than_the_pairs_state(names, saved):
+def test_scale_and_clock_are_not_more_certain_than_their_pairs(names, saved):
     run = simulate_rig(vehicle(names), 2)
     pairs = {name: calibrate(run.trajectories['a'], run.trajectories[name])
              for name in names[1:]}
@@ -145,7 +145,7 @@ def test_processes_change_nothing(monkeypatch):
     def fork():
         raise AssertionError('a fork copies the locks of every thread, and not their owners')
 
-    # What a thread of ROS or of a notebook holds stays held in a fork.
+    # A lock that a thread of ROS or of a notebook has is never released in a fork.
     monkeypatch.setattr(os, 'fork', fork)
     run = simulate_rig(vehicle(duration=20.0), 4)
     one, two = (calibrate_rig(run.trajectories, RigConfig(processes=k)) for k in (1, 2))
@@ -169,7 +169,7 @@ def test_a_late_clock_is_named_and_corrected():
     assert np.linalg.norm(error(rig, run, 'b')[:3]) < 0.03
 
 
-def test_clocks_of_which_none_is_usual_are_no_fault():
+def test_clocks_that_all_differ_are_not_reported():
     assert clock_contradictions('abcd', [Clock(0.1 * k) for k in range(4)]) == []
     found, = clock_contradictions('abc', [Clock(), Clock(), Clock(-0.08)])
     assert found.sensor == 'c'
@@ -193,7 +193,7 @@ def test_a_mount_that_moved_is_named(moved):
     assert not any(pair.used for pair in rig.pairs if 'c' in (pair.parent, pair.child))
 
 
-def test_a_mount_that_moved_has_no_say_about_the_others(moved):
+def test_a_moved_mount_does_not_influence_the_others(moved):
     run, rig = moved
     without = calibrate_rig({k: v for k, v in run.trajectories.items() if k != 'c'})
     for name in 'bd':
@@ -260,7 +260,7 @@ def test_a_sensor_that_two_others_bridge_is_answered():
 LEVEL = Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat)
 
 
-def test_heights_of_a_planar_vehicle_are_open_for_every_sensor():
+def test_heights_of_a_planar_vehicle_are_unobserved_for_every_sensor():
     run = simulate_rig(vehicle(motion=LEVEL), 11)
     rig = calibrate_rig(run.trajectories)
     assert rig.unobserved == {'b': ('z',), 'c': ('z',)}
@@ -293,7 +293,7 @@ def test_saved_pairs_make_a_rig():
     rig = fuse_results(results)
     assert list(rig.sensors) == ['a', 'b', 'c']
     assert [found.code for found in rig.findings] == ['rig-shared-noise']
-    # One pair shares nothing.
+    # A single pair has no correlation with others.
     assert 'rig-shared-noise' not in {found.code for found in fuse_results(results[:1]).findings}
     known = calibrate_rig(run.trajectories)
     assert 'rig-shared-noise' not in {found.code for found in known.findings}
@@ -324,7 +324,7 @@ def test_eight_sensors_are_compared_with_three_of_them():
 
 
 def test_no_pair_is_calibrated_twice():
-    # The two sensors that are known best are compared with all others, and with each other once.
+    # The two most certain sensors are paired with all others, and once with each other.
     run = simulate_rig(vehicle('abcdef', duration=10.0), 15)
     answers, failures = calibrate_pairs(run.trajectories, 'a', RigConfig())
     seen = [frozenset((pair.parent, pair.child)) for pair in (*answers, *failures)]

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""The subcommand ``rig``: RIG.yaml in; screen, files and page out."""
+"""The subcommand ``rig``: text, files and page from RIG.yaml."""
 
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -48,7 +48,7 @@ def drive(**more):
 
 @pytest.fixture(scope='module')
 def folder(tmp_path_factory):
-    """RIG.yaml, its files, and what the command wrote."""
+    """RIG.yaml, its files, and the output of the command."""
     path = tmp_path_factory.mktemp('rig')
     run = drive()
     for name, trajectory in run.trajectories.items():
@@ -80,7 +80,7 @@ def test_urdf_holds_every_joint(folder, rig):
         tree.joints['camera'].T_parent_child, rig.sensors['front'].T_base_sensor, atol=1e-9)
     robot = ET.parse(folder / 'out' / 'rig.urdf').getroot()
     assert [link.get('name') for link in robot.iter('link')] == ['velodyne', 'camera', 'rear']
-    # It is a whole robot; only a single joint is pasted into one.
+    # The file is a complete robot, unlike the export of a pair.
     assert 'Paste' not in (folder / 'out' / 'rig.urdf').read_text()
     assert 'Paste' in (folder / 'out' / 'camera' / 'extrinsic.urdf').read_text()
 
@@ -213,7 +213,7 @@ def test_saved_results_make_a_rig(tmp_path, capsys):
     assert main(['rig', '--from-results', str(tmp_path)]) == 0
     text = capsys.readouterr().out
     assert 'Rig of 3 sensors in lidar' in text
-    # Two pairs with one base share its noise, and close no loop.
+    # Two pairs with the base have correlated noise, and no loop.
     assert 'loops' not in text
 
 
@@ -238,7 +238,7 @@ def test_of_two_results_the_later_recording_counts_whatever_its_name(tmp_path, c
         '2 results of lidar - front: the latest was used, node_000009.yaml')
     assert told['rig-result-unread'].startswith(
         f'not read: {tmp_path}/notes.yaml: not a calibration result:')
-    # Of recordings that end together the one that was saved last, as people count.
+    # Of recordings that end together, the file with the highest number.
     replace(half, start_ns=None, scale=2.0).save(tmp_path / 'node_000010.yaml')
     replace(whole, start_ns=None).save(tmp_path / 'node_000009.yaml')
     assert main(['rig', '--from-results', str(tmp_path), '--format', 'json']) == 0
@@ -298,7 +298,7 @@ def test_a_saved_rig_has_a_page(folder, tmp_path, capsys):
     assert main([*report, '--force', '--plots', str(tmp_path)]) == 2
     assert '--plots is for one pair' in capsys.readouterr().err
     assert 'recording-other' not in text
-    # Another trajectory is no evidence for this rig, and the page says so first.
+    # Another trajectory is no evidence for this rig; the page starts with that.
     for name in ('lidar', 'front', 'rear'):
         (tmp_path / f'{name}.tum').write_bytes((folder / f'{name}.tum').read_bytes())
     (tmp_path / 'RIG.yaml').write_text(RIG)
@@ -309,7 +309,7 @@ def test_a_saved_rig_has_a_page(folder, tmp_path, capsys):
     assert '<code>recording-other</code>' in (tmp_path / 'x.html').read_text()
 
 
-def test_open_heights_end_with_status_three(tmp_path, capsys):
+def test_unobserved_heights_exit_with_status_three(tmp_path, capsys):
     run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
     for name, trajectory in run.trajectories.items():
         write_tum(tmp_path / f'{name}.tum', trajectory)
@@ -322,14 +322,14 @@ def test_open_heights_end_with_status_three(tmp_path, capsys):
     assert '(z unknown)' in (tmp_path / 'rig.html').read_text()
 
 
-def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
+def test_an_unobserved_sensor_is_exported_only_on_request(tmp_path, capsys):
     run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
     for name, trajectory in run.trajectories.items():
         write_tum(tmp_path / f'{name}.tum', trajectory)
     (tmp_path / 'RIG.yaml').write_text(RIG)
     out = tmp_path / 'out'
     command = ['rig', str(tmp_path / 'RIG.yaml'), '--output', str(out)]
-    # What is kept back removes no file of its name that a person has there.
+    # A withheld export does not remove a file of the user with the same name.
     (out / 'camera').mkdir(parents=True)
     (out / 'camera' / 'extrinsic.urdf').write_text('of a person')
     assert main(command) == 2
@@ -343,7 +343,7 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
         f'To write it anyway: --allow-unobserved, here or in export {out}/rig.yaml --as '
         'FORMAT\n')
     assert [path.name for path in out.iterdir()] == ['rig.yaml']
-    # Of the two only the camera has a known height.
+    # Only the height of the camera is known.
     (tmp_path / 'RIG.yaml').write_text(RIG.replace(
         'frame: camera', "frame: camera, prior_translation: '-,-,0.5', "
         'prior_translation_std: 0.01'))
@@ -366,7 +366,7 @@ def test_an_open_sensor_is_exported_only_when_it_is_asked_for(tmp_path, capsys):
     assert 'UNOBSERVED: z of camera' in files[0].read_text()
 
 
-def test_no_export_of_an_earlier_rig_stays_beside_an_open_one(folder, tmp_path, capsys):
+def test_no_export_of_an_earlier_rig_stays_beside_an_incomplete_one(folder, tmp_path, capsys):
     out = tmp_path / 'out'
     command = ['rig', str(folder / 'RIG.yaml'), '--output', str(out)]
     assert main(command) == 0
@@ -374,7 +374,7 @@ def test_no_export_of_an_earlier_rig_stays_beside_an_open_one(folder, tmp_path, 
     run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
     for name in ('lidar', 'front'):
         write_tum(tmp_path / f'{name}.tum', run.trajectories[name])
-    # One of the sensors is unobserved, the other one has gone.
+    # One sensor has an unobserved direction, the other one is missing.
     (tmp_path / 'RIG.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
     command[1] = str(tmp_path / 'RIG.yaml')
     assert main(command) == 2

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a rig still holds, and who moved."""
+"""Comparison of rigs: which sensors have moved."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ SIGMA = 0.002
 
 
 def rig(X, rng):
-    """Return the rig of a drive: every sensor errs by a twist of its own."""
+    """Return the rig of a drive, with an independent random twist per sensor."""
     twist = SIGMA * rng.standard_normal((len(X), 6))
     sensors = {'a': SensorAnswer('a', 'a', 'a', np.eye(4), np.zeros((6, 6)), {})}
     L = [twist_to_step(np.eye(4), x) for x in X]
@@ -113,7 +113,7 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert 'holds' not in printed
     data = RigResult.load(saved).to_dict()
     assert len(data['recordings']) == 3
-    # As if it were of a drive of its own.
+    # As from another drive.
     data['recordings'] = []
     data['sensors']['b']['T_base_sensor']['translation'][0] += 0.1
     earlier = tmp_path / 'earlier.yaml'
@@ -121,7 +121,7 @@ def test_the_command_ends_with_four_where_a_sensor_moved(tmp_path, capsys):
     assert main(['verify', str(earlier), str(tmp_path / 'RIG.yaml')]) == 4
     printed = capsys.readouterr().out
     assert 'b moved by 10 cm' in printed
-    # No exponent, however far.
+    # No exponent, also for large moves.
     assert describe_size(np.array([3.0, 4.0, 0.0, 0.0, 0.0, 2.5])) == '500 cm and 143 deg'
     verdicts = {line.split()[0]: line.split()[-1] for line in printed.splitlines()[3:]}
     assert verdicts == {'b': 'moved', 'c': 'holds'}
@@ -148,7 +148,7 @@ def test_a_rig_of_settings_that_are_not_here_is_read(mounts):
         config.scale_of('b')
 
 
-def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
+def test_several_rigs_are_one_table_with_unique_names(
         mounts, tmp_path, monkeypatch, capsys):
     X, rng = mounts
     monkeypatch.chdir(tmp_path)
@@ -170,7 +170,7 @@ def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
     assert 'table.csv and 1 more exist; give --force' in capsys.readouterr().err
     assert main(['compare', *paths, '--output', 'cmp', '--force']) == 0
     assert capsys.readouterr().out.count(' against one: the rig holds') == 2
-    # A reader that has gone takes no tables away.
+    # A closed pipe does not delete tables.
     monkeypatch.setattr('trajectory_calibration.cli.main._discard_output', lambda: None)
     monkeypatch.setattr('sys.stdout', Gone())
     assert main(['compare', *paths, '--output', 'head']) == 0
@@ -180,7 +180,7 @@ def test_several_rigs_are_one_table_with_names_that_tell_them_apart(
 @pytest.mark.parametrize('option', [
     ['--columns', 't,x,y,z,qw,qx,qy,qz'], ['--quaternion-order-b', 'wxyz'], ['--invert-a'],
     ['--file-format-b', 'tum'], ['--times-a', 'x'], ['--frame-a', 'x']])
-def test_how_a_sensor_is_read_stands_in_the_description(mounts, tmp_path, capsys, option):
+def test_input_options_are_in_the_description(mounts, tmp_path, capsys, option):
     rig(*mounts).save(tmp_path / 'rig.yaml')
     assert main(['verify', str(tmp_path / 'rig.yaml'), 'RIG.yaml', *option]) == 2
     assert capsys.readouterr().err == (

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One consistent rig from pairs whose noise is shared."""
+"""One consistent rig from pairs with correlated noise."""
 
 from functools import partial
 from itertools import combinations
@@ -34,7 +34,7 @@ def exact(X, pairs):
 
 
 def noisy_answers(X, pairs, sigma, rng):
-    """Every sensor errs by a twist of its own: a pair errs by the difference of two."""
+    """Return answers with an independent twist per sensor: a pair has the difference of two."""
     twist = sigma[:, None] * rng.standard_normal((len(X), 6))
     return np.stack([
         se3.moved(se3.inverse(X[i]) @ X[j], twist_to_step(X[i], X[j]) @ (twist[j] - twist[i]))
@@ -95,7 +95,7 @@ def test_jacobian_of_a_pair_is_the_numeric_one():
         np.testing.assert_allclose(of_j[:, k], by_j, atol=1e-5)
 
 
-def test_turning_a_pair_round_changes_nothing():
+def test_inverting_a_pair_changes_nothing():
     rng = np.random.default_rng(3)
     X = rig(3, rng)
     sigma = np.array([0.004, 0.002, 0.003])
@@ -111,7 +111,7 @@ def test_turning_a_pair_round_changes_nothing():
 
 
 def nees(own_share, sensors=5, draws=150):
-    """Mean NEES per degree of freedom where all pairs share the noise of their sensors."""
+    """Return the mean NEES per degree of freedom if pairs have the noise of their sensors."""
     rng = np.random.default_rng(4)
     pairs = list(combinations(range(sensors), 2))
     found = []
@@ -127,16 +127,16 @@ def nees(own_share, sensors=5, draws=150):
     return np.mean(found)
 
 
-def test_pairs_that_share_noise_give_an_honest_covariance():
+def test_correlated_pairs_give_a_consistent_covariance():
     assert 0.9 < nees(0.0) < 1.1
 
 
-def test_calling_pairs_independent_is_wrong():
-    # The noise of the base is in every pair with it: no number of pairs averages it away.
+def test_assuming_independent_pairs_is_wrong():
+    # The noise of the base is in all its pairs, and is not averaged out.
     assert nees(1.0) > 1.8
 
 
-def test_half_for_each_sensor_is_honest_where_noise_is_shared():
+def test_half_for_each_sensor_is_consistent_if_pairs_are_correlated():
     rng = np.random.default_rng(5)
     pairs = list(combinations(range(4), 2))
     found = []
@@ -184,7 +184,7 @@ def test_a_prior_fixes_what_it_knows():
     assert fused.covariance[2, 2] < 1e-12
 
 
-def test_a_doubted_sensor_has_no_say_about_the_others():
+def test_an_untrusted_sensor_does_not_influence_the_others():
     rng = np.random.default_rng(8)
     X = rig(4, rng)
     pairs = list(combinations(range(4), 2))
@@ -204,5 +204,5 @@ def test_numbers_are_consistent_round_loops():
     pairs = [(0, 1), (1, 2), (0, 2)]
     found, std = fuse_numbers(3, pairs, np.array([0.1, 0.2, 0.33]), np.full(3, 0.01))
     np.testing.assert_allclose(found, [0, 0.11, 0.32], atol=1e-12)
-    # All share the noise of their sensors: no loop makes a number surer.
+    # With the noise of common sensors, a loop does not reduce the standard deviation.
     np.testing.assert_allclose(std, [0, 0.01, 0.01], rtol=1e-9)

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What no motion tells has no say: a height on flat ground contradicts nothing."""
+"""Unobserved directions are not tested: a height on flat ground contradicts nothing."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def level(seed, noise=SLAM, **more):
     return simulate_rig(RigScenario(sensors, 40.0, motion=LEVEL, **more), seed)
 
 
-def test_where_all_is_known_it_is_chi_squared():
+def test_without_unobserved_directions_it_is_chi_squared():
     rng = np.random.default_rng(0)
     V, error = covariance(rng), 0.01 * rng.standard_normal(6)
     value, degrees = misfit(error, V, LIMITS)
@@ -55,7 +55,7 @@ def test_where_all_is_known_it_is_chi_squared():
     assert value == pytest.approx(error @ np.linalg.solve(V, error), rel=1e-9)
 
 
-def test_an_open_direction_has_no_say_however_the_axes_are_turned():
+def test_an_unobserved_direction_has_no_influence_in_any_axes():
     rng = np.random.default_rng(1)
     known, error = covariance(rng), 0.01 * rng.standard_normal(6)
     height = np.eye(6)[2]
@@ -66,7 +66,7 @@ def test_an_open_direction_has_no_say_however_the_axes_are_turned():
         R = turned(rng)
         value, degrees = misfit(R @ (error + 7.0 * height), R @ V @ R.T, LIMITS)
         assert degrees == 5
-        # Seven metres of one unobserved direction leave what ten thousandths of its deviation are.
+        # Seven metres along an unobserved direction change little: 1e-4 of its standard deviation.
         assert value == pytest.approx(wanted[0], rel=0.01)
 
 
@@ -75,7 +75,7 @@ def test_a_weight_without_a_direction_is_that_of_the_best_step_along_it():
     W, step = np.linalg.inv(covariance(rng)), 0.01 * rng.standard_normal(6)
     height = 0.5 * np.eye(6)[:, [2]] + 0.01 * np.eye(6)[:, [4]]
     value = step @ without(W, height) @ step
-    # However far the step is moved along what is unobserved, and never more than with it.
+    # For any step along the unobserved direction, and never larger than with it.
     moved = step + 7.0 * height[:, 0]
     assert moved @ without(W, height) @ moved == pytest.approx(value, rel=1e-6)
     best = -(height[:, 0] @ W @ step) / (height[:, 0] @ W @ height[:, 0])
@@ -109,7 +109,7 @@ def test_an_answer_comes_near_along_unobserved_directions_only():
 
 @thinned('seeds', 2, 5)
 @pytest.mark.parametrize('noise', [SLAM, Noise()])
-def test_sound_sensors_on_flat_ground_do_not_contradict(noise, seeds):
+def test_correct_sensors_on_flat_ground_do_not_contradict(noise, seeds):
     for seed in range(11, 11 + seeds):
         rig = calibrate_rig(level(seed, noise).trajectories)
         assert not rig.contradictions

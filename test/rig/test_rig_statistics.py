@@ -21,7 +21,7 @@ pytestmark = pytest.mark.statistical
 FREE = RigConfig(sensors={'mono': SensorSettings(scale='free')})
 
 
-def test_joint_covariance_is_honest():
+def test_joint_covariance_is_consistent():
     nees, inside = [], []
     for seed in range(8):
         run = simulate_rig(rig_scenario(3, 60.0), seed)
@@ -31,10 +31,10 @@ def test_joint_covariance_is_honest():
         nees.append(error @ np.linalg.solve(rig.covariance, error) / len(error))
         inside.append(np.abs(error) < 1.96 * np.sqrt(np.diagonal(rig.covariance)))
         assert all(item.kind == 'clock' for item in rig.contradictions)
-    # By chi-squared no more than the deviations allow, and the caution that docs/rig.md states.
+    # Not above chi-squared, and not below the caution that docs/rig.md states.
     numbers = np.size(inside)
     assert 0.61 * quantile(numbers, 1 - FALSE_ALARM) < numbers * np.mean(nees) < quantile(numbers)
-    # Of numbers that 95 % intervals hold, so many at least but once in a thousand times.
+    # Coverage of 95 % intervals: below this number once in a thousand times.
     assert np.sum(inside) >= binom.ppf(FALSE_ALARM, numbers, 0.95)
 
 
@@ -44,7 +44,8 @@ def test_joint_covariance_is_honest():
     ('vehicle', Fault(elsewhere=True))], ids=['moved', 'clock', 'vehicle'])
 def test_faults_are_named(kind, fault, seeds):
     slam = Noise(white=0.005, white_rotation=0.0005, walk=0.003, walk_rotation=0.0003)
-    # As long as in docs/rig.md, where 96 of 100 mounts are named; in 90 s some 5 cm are chance.
+    # As long as in docs/rig.md, where 96 of 100 moved mounts are found; 90 s are too short for
+    # 5 cm.
     base = RigScenario({name: Sensor(noise=slam) for name in 'abcd'}, 120.0)
     for seed in range(seeds):
         culprit = 'abcd'[(seed + 1) % 4]

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""What sensors say of common windows, and the noise of each."""
+"""Common windows of the sensors, and the noise of each sensor."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ GAP_NS = 500_000_000
 
 
 def carried(noises, seed=0, duration=60.0, rate=10.0, **sensor):
-    """Return tracks in the base, carried with the true extrinsics, and these."""
+    """Return tracks of the base from the true extrinsics, and the extrinsics."""
     scenario = RigScenario(
         {f's{k}': Sensor(rate=rate, noise=noise, **sensor) for k, noise in enumerate(noises)},
         duration)
@@ -52,7 +52,7 @@ def test_jacobian_of_the_differences_is_the_numeric_one(column):
             apart, level.jacobian[both][..., column], atol=0.02 * scale + 1e-6)
 
 
-def test_white_noise_and_drift_of_each_sensor_are_told_apart():
+def test_white_noise_and_drift_of_each_sensor_are_separated():
     noises = [Noise(white=0.01, white_rotation=0.001), Noise(white=0.03, white_rotation=0.004),
               Noise(white=0.002, white_rotation=0.0003, walk=0.02, walk_rotation=0.002)]
     tracks, X = carried(noises, duration=200.0)
@@ -69,7 +69,7 @@ def test_white_noise_and_drift_of_each_sensor_are_told_apart():
     assert found[2].drift_rad == pytest.approx(0.002, rel=0.3)
 
 
-def test_windows_that_a_sensor_does_not_cover_are_not_its():
+def test_windows_that_a_sensor_does_not_cover_are_unknown():
     tracks, _ = carried([Noise(white=0.01)] * 3)
     half = len(tracks[1].stamps_ns) // 2
     tracks[1] = Track(tracks[1].stamps_ns[:half], tracks[1].poses[:half])
@@ -79,7 +79,7 @@ def test_windows_that_a_sensor_does_not_cover_are_not_its():
     assert levels[0].known[[0, 2]].all()
 
 
-def test_pairs_that_share_a_sensor_err_together():
+def test_errors_of_pairs_with_a_common_sensor_are_correlated():
     tracks, X = carried([Noise(white=0.01, white_rotation=0.001)] * 4)
     levels = window_levels(common_grid(tracks, GAP_NS))
     variances = sensor_variances(levels, X)
@@ -87,7 +87,7 @@ def test_pairs_that_share_a_sensor_err_together():
         levels, covariances(variances, X), [(0, 1), (0, 2), (2, 0), (2, 3), (1, 3)])
     correlation = np.einsum('paqa->pqa', M) / np.sqrt(
         np.einsum('papa->pa', M)[:, None] * np.einsum('qaqa->qa', M)[None])
-    # Equal noise: half of each pair is the shared sensor's.
+    # Equal noise: half of the variance of each pair is from the common sensor.
     np.testing.assert_allclose(correlation[0, 1], 0.5, atol=0.15)
     np.testing.assert_allclose(correlation[1, 2], -1.0, atol=1e-9)
     np.testing.assert_allclose(correlation[0, 3], 0.0, atol=1e-9)
