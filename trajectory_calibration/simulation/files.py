@@ -52,7 +52,8 @@ def _rows(poses: se3.FloatArray) -> list[list[float]]:
 
 
 def write_bag(
-    path: Path, trajectories: Mapping[str, Trajectory], *, message: str, storage: str,
+    path: Path, trajectories: Mapping[str, Trajectory], *, message: str = MESSAGES[0],
+    storage: str = STORAGES[0],
 ) -> None:
     """Write a rosbag2: one topic per trajectory, messages in the order of their stamps.
 
