@@ -8,7 +8,7 @@
 The drives are those of ``drives.py`` beside this file. For each family: the share of the truth
 within 1.96 stated deviations, by axis of a and in all (0.95 is right), NEES / 6 (one is right),
 the share of runs with an axis beyond five deviations and no finding that says so, medians of the
-errors, processor time. Axes that the answer calls unobserved are left out of all of these;
+errors, processor time. Axes that the answer calls unobservable are left out of all of these;
 ``open`` counts them. A family on flat ground must leave some open, any other none. Below the
 table: how many of these sound drives have a serious finding, but for open directions.
 """

@@ -18,7 +18,7 @@ The difference d of two answers is judged by chi2 / 6 = d' P^-1 d / 6. Halves sh
 that P is the sum of both covariances, and so for the three answers of ``third``. The other laws
 compare answers from the same data: P is the larger of both covariances, which allows a change by
 one deviation. A law holds where the median is at most 1 and more than 4 is found in at most 5 %.
-Directions that either answer calls unobserved are left out.
+Directions that either answer calls unobservable are left out.
 """
 
 import argparse

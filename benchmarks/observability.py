@@ -5,7 +5,7 @@
     python -m benchmarks.observability [--seeds 100] [--solvers drift_aware,dnl]
 
 For drives on flat ground, exactly and nearly, under several kinds of noise: in how many seeds
-the height is called unobserved (a drive that is refused for it counts), or only weak. For drives
+the height is called unobservable (a drive that is refused for it counts), or only weak. For drives
 that turn about all axes: in how many seeds anything is flagged. All settings but the solver are
 the defaults.
 """
@@ -69,7 +69,7 @@ def excited():
 
 
 def flags(scenario, seed, solver):
-    """Return which directions are unobserved, and which weak, or None where it is refused."""
+    """Return which directions are unobservable, and which weak, or None where it is refused."""
     run = simulate(scenario, seed)
     try:
         found = calibrate(run.a, run.b, CalibrationConfig(solver=solver))
@@ -79,7 +79,7 @@ def flags(scenario, seed, solver):
 
 
 def counted(scenario, solver, seeds, flagged):
-    """Return the cells of a row: refused, unobserved, only weak, seconds; and what is left.
+    """Return the cells of a row: refused, unobservable, only weak, seconds; and what is left.
 
     ``flagged`` tells from names of directions whether they are the ones in question.
     """
@@ -100,7 +100,7 @@ def main():
     solvers = arguments.solvers.split(',')
     for drives, flagged, what in ((planar(), lambda names: 'z' in names, 'z'),
                                   (excited(), bool, 'anything')):
-        print(f'| drive | solver | refused | {what} unobserved | only weak | not flagged | '
+        print(f'| drive | solver | refused | {what} unobservable | only weak | not flagged | '
               'CPU s a run |\n|---|---|---|---|---|---|---|')
         for name, scenario in drives:
             for solver in solvers:

@@ -6,7 +6,7 @@ DONE = 0
 # The data cannot give an answer.
 NO_ANSWER = 1
 USAGE = 2
-# Done, but a direction of the answer is unobserved; ``verify``: it cannot tell.
+# Done, but a direction of the answer is unobservable; ``verify``: it cannot tell.
 INCOMPLETE = 3
 # ``verify``, ``compare``, ``fleet``: the extrinsic no longer holds.
 CHANGED = 4

@@ -51,7 +51,7 @@ def test_flat_ground_is_flagged_in_every_seed(noise, seeds):
     for seed in range(seeds):
         found, _ = calibrated(scenario, seed, solver='dnl', reference='B5')
         assert 'z' in found.observability.unobserved
-        # Its rotation may be unobserved for the same reason: one warning names both.
+        # Its rotation may be unobservable for the same reason: one warning names both.
         assert any(warning.startswith('translation along z') for warning in found.warnings)
 
 

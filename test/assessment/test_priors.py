@@ -215,7 +215,7 @@ def test_a_fixed_component_is_exact_beside_an_unobserved_direction(opened, known
     for _ in range(20):
         axes, _ = np.linalg.qr(rng.normal(size=(6, 6)))
         covariance = (axes * np.array([opened, *[known] * 5])**2) @ axes.T
-        # Anything along the unobserved direction is possible; the prior asks for some of it.
+        # Anything along the unobservable direction is possible; the prior asks for some of it.
         step = 0.05 * axes[:, 0]
         prior = parse_prior(text(step[:3]), '0', '', '')
         T_a_b, after = apply_prior(np.eye(4), covariance, prior)

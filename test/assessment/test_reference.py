@@ -149,7 +149,7 @@ def test_too_few_poses_to_judge_by():
 
 @pytest.mark.parametrize('solver', ['dnl', 'dnlo', 'park', 'ali'])
 def test_motion_that_is_not_enough_is_for_the_solver_to_judge(solver):
-    """Straight on: what is unobserved may be allowed, whatever drift_aware needs to judge by."""
+    """Straight on: what is unobservable may be allowed, whatever drift_aware needs to judge by."""
     # In seed 4, one of 20, the noise of C20 passes for a rotation that park determines.
     rng = np.random.default_rng(5)
     stamps_ns = np.arange(200) * 10**8

@@ -131,7 +131,7 @@ def test_the_difference_of_equal_answers_has_the_stated_false_alarms():
 def test_what_is_unobserved_does_not_hide_what_is_known():
     rng = np.random.default_rng(1)
     T = random_pose(rng)
-    # Rotation about z unobserved in one of them, and off by 2 radians there.
+    # Rotation about z unobservable in one of them, and off by 2 radians there.
     P = np.diag([1e-4] * 3 + [1e-6] * 3)
     open_ = P + np.diag([0, 0, 0, 0, 0, 10.0])
     turned = se3.moved(T, [0, 0, 0, 0, 0, 2.0])

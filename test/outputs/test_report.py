@@ -177,7 +177,7 @@ def test_flat_floor_shows_no_number_along_z():
     assert 'unknown along the stripe' in page
     parts = report_data(result, pair.a, pair.b).parts
     assert np.isnan(parts.growth_std[:, 2]).all()
-    # The unobserved direction does not affect the others.
+    # The unobservable direction does not affect the others.
     assert (parts.growth_std[-1, :2] < 0.5).all()
 
 

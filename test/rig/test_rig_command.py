@@ -374,7 +374,7 @@ def test_no_export_of_an_earlier_rig_stays_beside_an_incomplete_one(folder, tmp_
     run = drive(motion=Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat))
     for name in ('lidar', 'front'):
         write_tum(tmp_path / f'{name}.tum', run.trajectories[name])
-    # One sensor has an unobserved direction, the other one is missing.
+    # One sensor has an unobservable direction, the other one is missing.
     (tmp_path / 'RIG.yaml').write_text(RIG.replace('  rear: {file: rear.tum}\n', ''))
     command[1] = str(tmp_path / 'RIG.yaml')
     assert main(command) == 2

@@ -66,7 +66,8 @@ def test_an_unobserved_direction_has_no_influence_in_any_axes():
         R = turned(rng)
         value, degrees = misfit(R @ (error + 7.0 * height), R @ V @ R.T, LIMITS)
         assert degrees == 5
-        # Seven metres along an unobserved direction change little: 1e-4 of its standard deviation.
+        # Seven metres along an unobservable direction change little: 1e-4 of its standard
+        # deviation.
         assert value == pytest.approx(wanted[0], rel=0.01)
 
 
@@ -75,7 +76,7 @@ def test_a_weight_without_a_direction_is_that_of_the_best_step_along_it():
     W, step = np.linalg.inv(covariance(rng)), 0.01 * rng.standard_normal(6)
     height = 0.5 * np.eye(6)[:, [2]] + 0.01 * np.eye(6)[:, [4]]
     value = step @ without(W, height) @ step
-    # For any step along the unobserved direction, and never larger than with it.
+    # For any step along the unobservable direction, and never larger than with it.
     moved = step + 7.0 * height[:, 0]
     assert moved @ without(W, height) @ moved == pytest.approx(value, rel=1e-6)
     best = -(height[:, 0] @ W @ step) / (height[:, 0] @ W @ height[:, 0])

@@ -31,7 +31,7 @@ def drive(names, **more):
 
 @pytest.fixture(scope='module')
 def rigs():
-    """Rigs with all kinds of contents: another vehicle, unobserved z, two sensors, results."""
+    """Rigs with all kinds of contents: another vehicle, unobservable z, two sensors, results."""
     level = Unicycle(speed=5.0, yaw_rate=0.6, hold=2.0, ground=flat)
     strange = drive('abcd', motion=level, faults={'c': Fault(elsewhere=True)})
     two = drive('ab').trajectories

@@ -1,6 +1,6 @@
 # Copyright 2026 trajectory_calibration maintainers
 # SPDX-License-Identifier: Apache-2.0
-"""One contract for motion that leaves directions unobserved, whoever solves, however exact."""
+"""One contract for motion that leaves directions unobservable, whoever solves, however exact."""
 
 from motion_data import perturb, random_pose, sensor_pair, wander
 import numpy as np

@@ -11,7 +11,7 @@ solver then has the mean squared error
 
 It includes the effect of the actual noise, and of errors that the equations of that solver do not
 model: jumps, a scale, a systematic drift. Directions that its equations do not determine are
-unobserved in its answer, whatever the other solver knows (``excitation``).
+unobservable in its answer, whatever the other solver knows (``excitation``).
 
 J. O. Berger, "Statistical Decision Theory and Bayesian Analysis", 1985, section 4.4 (posterior
 expected loss).
@@ -50,7 +50,7 @@ class Uncertainty:
     Attributes
     ----------
     covariance : (6, 6), order and side as in ``CalibrationResult``.
-    unobserved : (K, 6) unobserved directions (dt, dtheta).
+    unobserved : (K, 6) unobservable directions (dt, dtheta).
     findings : on the uncertainty.
 
     """
@@ -145,7 +145,7 @@ def _from_residuals(
 
 
 def _bounded(covariance: FloatArray, unobserved: FloatArray) -> FloatArray:
-    """Return a (6, 6) covariance with (K, 6) unobserved directions, bounded.
+    """Return a (6, 6) covariance with (K, 6) unobservable directions, bounded.
 
     Rounding may make a variance negative, several such directions may exceed ``UNOBSERVED_STD``.
     """

@@ -5,7 +5,7 @@
 Rotation noise looks like excitation: on flat ground the measured pitch and roll are noise, a sum
 of squares counts them, and the height between the sensors is wrong with a small standard
 deviation. The product of the regressors of a and of b has no such bias, because their noise is
-independent. A direction is unobserved if this product is not significant.
+independent. A direction is unobservable if this product is not significant.
 
 W. A. Fuller, "Measurement Error Models", 1987, section 1.4 (a second measurement as instrument).
 """
@@ -35,7 +35,7 @@ _MOTIONS = 4000
 
 @dataclass(frozen=True, eq=False)
 class Excited:
-    """The space of (dt, dtheta), split into excited and unobserved directions.
+    """The space of (dt, dtheta), split into excited and unobservable directions.
 
     ``basis`` (6, 6 - K) has columns that span the excited directions. ``unobserved`` (K, 6) are
     the others, scaled to the standard deviations ``UNOBSERVED_STD``.
@@ -131,7 +131,7 @@ def split_equations(
     own = 0.5 * (linear.gram(Z_a, Z_a) + linear.gram(Z_b, Z_b))
     cross = 0.5 * (linear.gram(Z_a, of_b.jacobian) + linear.gram(Z_b, of_a.jacobian))
     excited = _split(0.5 * (shared + shared.T), own, Z_a - Z_b, block_length(motions))
-    # An error along an unobserved direction also changes the excited ones.
+    # An error along an unobservable direction also changes the excited ones.
     basis, unobserved = excited.basis, excited.unobserved
     inverse = basis @ np.linalg.pinv(basis.T @ cross @ basis, rcond=1e-14) @ basis.T
     return Excited(basis, scaled_to_unobserved(unobserved - unobserved @ (inverse @ cross).T))

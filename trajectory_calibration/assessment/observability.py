@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which directions of an extrinsic the motion determined, from its covariance.
 
-A direction is unobserved if its standard deviation exceeds a limit. The limits are settings.
+A direction is unobservable if its standard deviation exceeds a limit. The limits are settings.
 """
 
 from __future__ import annotations
@@ -64,14 +64,14 @@ class Observability:
     ----------
     status : of each degree of freedom: 'observed', 'weak', 'unobserved', or 'prior' if the value
         comes from the prior.
-    weak_axes : weak and unobserved directions: translations, then rotations, each with the
+    weak_axes : weak and unobservable directions: translations, then rotations, each with the
         largest standard deviation first.
     excitation_deg : root mean square rotation of a motion about x, y, z of a, degrees.
     translation_gain : three numbers, ascending: metres of residual, root mean square over the
         motions, per metre of error of the translation along each of ``translation_axes``.
     translation_axes : three unit vectors in a, weakest first.
     single_axis : unit vector in a, if the motion rotated about one axis only; else empty.
-    findings : on the weak and unobserved directions.
+    findings : on the weak and unobservable directions.
 
     """
 
@@ -168,7 +168,7 @@ def require_motion_beyond_noise(
     One observed direction is an answer; the others are flagged. If there is none, whatever the
     limits of the user, the motion itself is tested.
     """
-    # By eigenvectors: one unobserved direction oblique to all axes would hide the others.
+    # By eigenvectors: one unobservable direction oblique to all axes would hide the others.
     blind = [item for item in observability.weak_axes if item.status == UNOBSERVED]
     if len(blind) < len(DEGREES_OF_FREEDOM):
         return

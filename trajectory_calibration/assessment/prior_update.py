@@ -14,7 +14,7 @@ from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.solvers import DEFAULT_SOLVER
 
 # The update is linear in the rotation up to about this angle, degrees. A rotation axis with a
-# larger standard deviation is unobserved: the rotation about it is arbitrary.
+# larger standard deviation is unobservable: the rotation about it is arbitrary.
 _LARGEST_ROTATION_DEG = 15.0
 
 
@@ -24,7 +24,7 @@ def apply_prior(
     """Return the answer and its (6, 6) covariance updated with the prior.
 
     A least-squares problem in six unknowns, iterated because of the rotation (iterated Kalman
-    update). About unobserved axes it starts at the prior. Raises ConfigError if the prior
+    update). About unobservable axes it starts at the prior. Raises ConfigError if the prior
     rotates the answer too far for a linear update.
     """
     if not prior.given:
@@ -42,7 +42,7 @@ def apply_prior(
         observe[3:, 3:] = _observation(deviation[3:], step[3:])
         observe = observe[known]
         # Scaled by the covariance, with the rows of the prior first: a fixed component has 1e13
-        # times the weight of an unobserved direction.
+        # times the weight of an unobservable direction.
         Q, triangle = np.linalg.qr(np.concatenate([observe @ root / std[:, None], np.eye(6)]))
         # The answer of the motion alone is at -start.
         expected = (deviation[known] + observe @ (step + start)) / std
@@ -65,7 +65,7 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
     what, check = 'prior', (
         'check prior_rotation (roll, pitch, yaw of b in a, degrees), or drive so that the motion '
         'shows the rotation, about two axes')
-    # If it is mostly about unobserved axes, the prior contradicts nothing that is known.
+    # If it is mostly about unobservable axes, the prior contradicts nothing that is known.
     if np.linalg.norm(axes.T @ rotation) > 0.7 * np.linalg.norm(rotation):
         # The translation belongs to a rotation that is arbitrary.
         check = ('mostly about an axis that is unobservable for this solver; use '
@@ -80,14 +80,14 @@ def _require_small_rotation(rotation: FloatArray, covariance: FloatArray, prior:
 
 
 def _unobserved_axes(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (3, K) unobserved rotation axes and their (K,) variances."""
+    """Return the (3, K) unobservable rotation axes and their (K,) variances."""
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
     unobserved = variances > np.deg2rad(_LARGEST_ROTATION_DEG)**2
     return axes[:, unobserved], variances[unobserved]
 
 
 def _step_to_prior(T_a_b: FloatArray, covariance: FloatArray, prior: Prior) -> FloatArray:
-    """Return the (6,) step about the unobserved axes that brings an answer closest to the prior.
+    """Return the (6,) step about the unobservable axes that brings an answer closest to the prior.
 
     The rotation about such an axis may be wrong by any angle, too far for a linear step. The step
     is zero if the rotation would move an observed translation.

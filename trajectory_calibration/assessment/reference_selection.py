@@ -97,7 +97,7 @@ def _observed(known: MostLikely, config: CalibrationConfig) -> tuple[FloatArray,
     """
     # Radians count as metres: rotations displace a point at the distance of a metre.
     variances, axes = np.linalg.eigh(known.covariance)
-    # Along unobserved directions no answer is better than another.
+    # Along unobservable directions no answer is better than another.
     seen = variances < config.unobserved_translation**2
     # Rounding may make a variance negative.
     return axes[:, seen].T, float(np.maximum(variances[seen], 0.0).sum())

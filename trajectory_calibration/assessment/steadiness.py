@@ -67,7 +67,7 @@ def unsteady(
     H, g = _information(T_a_b, motions)
     information = np.diagonal(H.sum(axis=0))
     most = np.maximum.reduceat(information, (0, 3, 6))[[0, 0, 0, 1, 1, 1, 2]]
-    # Unobserved directions, such as the height on flat ground, keep almost no information.
+    # Unobservable directions, such as the height on flat ground, keep almost no information.
     unit = np.sqrt(np.maximum(np.where(information > _UNSEEN**2 * most, information, most),
                               np.finfo(float).tiny))
     H, g = H / np.outer(unit, unit), g / unit

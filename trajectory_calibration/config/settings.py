@@ -144,7 +144,7 @@ class CalibrationConfig:
         '', 'standard deviations of prior_rotation about x,y,z of a, degrees: one number, or '
         'three with - for unknown; 0 fixes a component')
     allow_unobserved: bool = _option(
-        default=False, text='publish and export results with unobserved directions, too; these '
+        default=False, text='publish and export results with unobservable directions, too; these '
         'stay marked')
     weak_translation: float = _option(
         0.05, 'standard deviation above which a direction of the translation is weak, '
@@ -153,11 +153,11 @@ class CalibrationConfig:
         0.5, 'standard deviation above which a direction of the rotation is weak, degrees',
         0.0, 180.0)
     unobserved_translation: float = _option(
-        0.5, 'standard deviation above which a direction of the translation is unobserved '
+        0.5, 'standard deviation above which a direction of the translation is unobservable '
         '(shown as unknown), metres', 0.0, 1e3)
     unobserved_rotation: float = _option(
-        5.0, 'standard deviation above which a direction of the rotation is unobserved (shown as '
-        'unknown), degrees', 0.0, 180.0)
+        5.0, 'standard deviation above which a direction of the rotation is unobservable '
+        '(shown as unknown), degrees', 0.0, 180.0)
 
     # Settings of a saved result that this version does not know.
     _unknown: ClassVar[Mapping[str, Any]] = {}

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of extrinsics along their observed directions only.
 
-A direction is unobserved if its standard deviation exceeds the limit of the settings. Metres and
+A direction is unobservable if its standard deviation exceeds the limit of the settings. Metres and
 radians are scaled by these limits. Directions are eigenvectors of a covariance, not axes: the
 height of a tilted sensor is oblique to its axes.
 """
@@ -37,7 +37,7 @@ def whitener(V: FloatArray, limits: FloatArray) -> FloatArray:
 
 
 def unobserved_directions(P: FloatArray, limits: FloatArray) -> FloatArray:
-    """Return the (6, K) unobserved directions of a (6, 6) covariance, scaled to the limits."""
+    """Return the (6, K) unobservable directions of a (6, 6) covariance, scaled to the limits."""
     values, vectors = np.linalg.eigh(P / np.outer(limits, limits))
     found: FloatArray = limits[:, None] * vectors[:, values >= 1.0]
     return found
@@ -50,7 +50,7 @@ def along(unobserved: FloatArray, step: FloatArray, limits: FloatArray) -> Float
 
 
 def without(weight: FloatArray, unobserved: FloatArray) -> FloatArray:
-    """Return a (6, 6) weight matrix with zero weight along (6, K) unobserved directions."""
+    """Return a (6, 6) weight matrix with zero weight along (6, K) unobservable directions."""
     if not unobserved.shape[1]:
         return weight
     lost = weight @ unobserved
@@ -61,7 +61,7 @@ def without(weight: FloatArray, unobserved: FloatArray) -> FloatArray:
 def drawn_near(
     T: FloatArray, P: FloatArray, near: FloatArray, limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Move an answer (4, 4) along its unobserved directions to be closest to another.
+    """Move an answer (4, 4) along its unobservable directions to be closest to another.
 
     Its position along them is arbitrary, and may be hundreds of metres off. Their axes are as
     uncertain as the rotation: this is added to the (6, 6) covariance, which is returned too.

@@ -104,7 +104,7 @@ def _misfits(rig: RigResult) -> Figure:
         if pair.failure:
             rows.append((name, '', pair.failure[:80], '', '', 'no'))
             continue
-        # Components that are unobserved by the pair are left out.
+        # Components that are unobservable by the pair are left out.
         known = pair.std < limits_of(rig.config.calibration)
         (t, R), (s_t, s_R) = sizes(pair.residual * known), sizes(pair.std * known)
         rows.append((

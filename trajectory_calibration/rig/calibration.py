@@ -293,7 +293,7 @@ def _findings(rig: RigResult) -> tuple[Finding, ...]:
 
 
 def _of_pairs(answers: Sequence[PairAnswer]) -> tuple[Finding, ...]:
-    """Return the serious findings of single pairs, except unobserved directions."""
+    """Return the serious findings of single pairs, except unobservable directions."""
     return tuple(
         replace(found, text=f'{answer.parent} - {answer.child}: '
                 + with_rig_keys(found.text, answer.parent, answer.child))

@@ -27,7 +27,7 @@ class Change:
     ----------
     sensor : its name.
     step, std : (6,), from the old pose in the base to the new one, in covariance order, and its
-        standard deviations; for the base about its own axes. NaN for unobserved components.
+        standard deviations; for the base about its own axes. NaN for unobservable components.
     chi_squared, degrees, p_value : test of no change along directions that both drives observe.
 
     """
@@ -138,7 +138,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         tried = []
         for name, column in columns.items():
             A = np.concatenate([free, limits * column], axis=1)
-            # Moves along unobserved directions are not estimated.
+            # Moves along unobservable directions are not estimated.
             answer, _, rank, _ = np.linalg.lstsq(
                 K @ A, shift, rcond=1.0 / max(1.0, float(np.linalg.norm(K @ A, 2))))
             tried.append((float(np.sum((shift - K @ A @ answer)**2)), name,
@@ -146,7 +146,7 @@ def compare_rigs(old: RigResult, new: RigResult) -> RigComparison:
         least, name, twist, free, least_degrees = min(tried, key=lambda item: item[0])
         del columns[name]
         L, gain, gain_degrees = to_step[name], remaining - least, degrees - least_degrees
-        # Standard deviations with the limits as a prior, for unobserved directions.
+        # Standard deviations with the limits as a prior, for unobservable directions.
         bound = np.linalg.inv((K @ free[:, -6:]).T @ (K @ free[:, -6:]) + np.eye(6))
         std = np.sqrt(np.diagonal(L @ (np.outer(limits, limits) * bound) @ L.T))
         found.append(Change(name, L @ twist, std, gain, gain_degrees,

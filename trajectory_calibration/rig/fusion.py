@@ -85,7 +85,7 @@ def fuse(
     ``start`` (S, 4, 4) are approximate poses in the base, which is the first sensor; ``pairs``
     (P,) are indices of parent and child, in a connected graph; ``answers`` (P, 4, 4) are child in
     parent, metres of the base; ``C`` (P, 6, P, 6) is their joint covariance. Directions with
-    standard deviations above ``limits`` (6,) are unobserved, and not tested. ``priors`` are of
+    standard deviations above ``limits`` (6,) are unobservable, and not tested. ``priors`` are of
     poses in the base, by sensor index. Pairs that are not ``trusted`` (P,) have a tiny weight:
     they determine only what no other pair does.
 
@@ -109,7 +109,7 @@ def fuse(
         if np.abs(step).max() < _CONVERGED:
             break
         X[1:] = se3.moved(X[1:], step.reshape(-1, 6))
-    # Also in standard deviations, because rounding is larger along unobserved directions.
+    # Also in standard deviations, because rounding is larger along unobservable directions.
     if np.abs(step).max() > 1e-6 and np.linalg.norm(triangle @ step) > 1e-3:
         raise SolverError(
             f'the poses of {len(start)} sensors do not converge in {_MAX_STEPS} steps: the '

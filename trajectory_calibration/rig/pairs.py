@@ -129,7 +129,7 @@ def _hubs(answers: Sequence[PairAnswer], base: str, config: RigConfig) -> list[s
     badness = {}
     for answer in answers:
         name, = {answer.parent, answer.child} - {base}
-        # Geometric mean, so that a height that is unobserved by all has no influence.
+        # Geometric mean, so that a height that is unobservable by all has no influence.
         values = np.maximum(np.linalg.eigvalsh(answer.covariance), 1e-30)
         badness[name] = config.of(name).scale == 'free', float(np.mean(np.log(values)))
     return sorted(badness, key=badness.__getitem__)[:_HUBS]

@@ -69,7 +69,7 @@ class SensorAnswer:
 
     @property
     def unobserved(self) -> tuple[str, ...]:
-        """Return the unobserved components."""
+        """Return the unobservable components."""
         return tuple(name for name in DEGREES_OF_FREEDOM if self.status.get(name) == UNOBSERVED)
 
 
@@ -185,7 +185,7 @@ class RigResult:
 
     @property
     def unobserved(self) -> dict[str, tuple[str, ...]]:
-        """Return the unobserved components by sensor, without sensors that have none."""
+        """Return the unobservable components by sensor, without sensors that have none."""
         return {name: sensor.unobserved for name, sensor in self.sensors.items()
                 if sensor.unobserved}
 

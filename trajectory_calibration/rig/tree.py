@@ -173,7 +173,7 @@ def _align_unobserved(
     answers: FloatArray, stated: FloatArray, ends: Sequence[tuple[int, int]], sensors: int,
     limits: FloatArray,
 ) -> FloatArray:
-    """Move answers along unobserved directions, in place, so that they agree.
+    """Move answers along unobservable directions, in place, so that they agree.
 
     Returns the (S, 4, 4) poses of the sensors in the base.
     """

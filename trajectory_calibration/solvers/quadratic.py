@@ -65,7 +65,7 @@ class Minimum:
     T_a_b : (4, 4).
     cost : value of the quadratic form.
     iterations : Newton iterations of all starts together.
-    form : (13, 13), the form, regularised in unobserved directions.
+    form : (13, 13), the form, regularised in unobservable directions.
 
     """
 
@@ -150,7 +150,7 @@ def minimise(
 ) -> Minimum:
     """Minimise ``v^T G v`` over rotations and translations, from many starts at once.
 
-    Unobserved directions are as near as possible to the prior, or to zero and the identity
+    Unobservable directions are as near as possible to the prior, or to zero and the identity
     without one. ``starts`` are (S, 3, 3) rotations; the 24 of a cube
     where omitted.
     """
@@ -167,7 +167,7 @@ def minimise(
 
 
 def held_translation(G: FloatArray, prior: Prior | None = None) -> FloatArray:
-    """Return (..., 13, 13) forms that hold what G leaves unobserved of t at the prior, or zero."""
+    """Return (..., 13, 13) forms that fix unobservable directions of t at the prior, or zero."""
     hold = hold_of(G[..., 9:12, 9:12], np.einsum('...ii->...', G[..., :9, :9]))
     if not hold.any():
         return G
@@ -182,8 +182,9 @@ def held_translation(G: FloatArray, prior: Prior | None = None) -> FloatArray:
 
 
 def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
-    """Return (..., 3, 3) forms that hold what ``turns``, sums of ``D^T D``, leave unobserved of t.
+    """Return the (..., 3, 3) forms that fix unobservable directions of t.
 
+    ``turns`` (..., 3, 3) are sums of ``D^T D``, D = R_A - I.
     ``size`` (...) is the motion in the same sums: without any turn, all that they say against it
     is rounding.
     """
@@ -198,7 +199,7 @@ def hold_of(turns: FloatArray, size: FloatArray | float) -> FloatArray:
 def hold_implausible(turns: FloatArray, variance: float) -> FloatArray:
     """Return a (3, 3) form that holds the directions of t farther than sensors can be apart.
 
-    An unobserved rotation leaves residuals as large as the motion, which a direction of hardly
+    An unobservable rotation leaves residuals as large as the motion, which a direction of hardly
     any turn explains by kilometres: with ``variance`` of a residual, m^2, such a t means nothing.
     """
     eigenvalues, axes = np.linalg.eigh(turns)

@@ -83,7 +83,7 @@ def align_rotation_vectors(motions: MotionPairs, prior: Prior) -> FloatArray:
 
     Kabsch's algorithm on the rotation vectors of the motions: ``A X = X B`` implies
     ``R_A = R R_B R^T``, hence ``phi_A = R phi_B``. With rotations about fewer than two axes, the
-    unobserved part is as near as possible to the prior, or to the identity.
+    unobservable part is as near as possible to the prior, or to the identity.
     """
     phi_a, phi_b = se3.log_so3(motions.A[:, :3, :3]), se3.log_so3(motions.B[:, :3, :3])
     covariance = phi_a.T @ phi_b
@@ -100,7 +100,7 @@ def solve_translation(
 ) -> tuple[FloatArray, float]:
     """Return the (3,) least-squares t of ``(R_A - I) t = R t_B - t_A`` and its cost, m^2.
 
-    Unobserved directions are as near as possible to the prior, or to zero.
+    Unobservable directions are as near as possible to the prior, or to zero.
     """
     D = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (motions.B[:, :3, 3] @ R_a_b.T - motions.A[:, :3, 3]).reshape(-1)

@@ -15,7 +15,7 @@ from trajectory_calibration.data.findings import Finding
 from trajectory_calibration.data.motion_pairs import MotionPairs
 from trajectory_calibration.geometry.se3 import FloatArray
 
-# Standard deviations of an unobserved direction, metres and radians: an upper bound for sensors
+# Standard deviations of an unobservable direction, metres and radians: an upper bound for sensors
 # of one vehicle. A larger value would leak into other directions, because noise tilts the axes.
 UNOBSERVED_STD = np.array([10.0] * 3 + [np.pi] * 3)
 
@@ -133,7 +133,7 @@ class Solver(Protocol):
     """A function from relative motions to an extrinsic.
 
     It needs no initial guess and does not change its input. It always returns an answer:
-    unobserved directions are as near as possible to the prior, or to zero, and have a large
+    unobservable directions are as near as possible to the prior, or to zero, and have a large
     covariance. It raises ``MotionError`` only for input without motion, and ``SolverError`` if its
     method fails.
     """

@@ -141,7 +141,7 @@ def _gauss_newton(S: FloatArray, start: FloatArray, hold: FloatArray, motions: i
     # Changes of the cost that are rounding, by the cost of no extrinsic at all.
     x, iteration, rounding = start, 0, 1e-13 * float(S[15, 15])
     plain, gradient, H = _equations(S, x)
-    # An unobserved direction stays where it is, whatever rounding makes of it.
+    # An unobservable direction stays where it is, whatever rounding makes of it.
     Q = quadratic.observed_directions(H, motions)
     for iteration in range(1, 501):
         off = x - start

@@ -38,7 +38,7 @@ _LONGEST = 2.0
 _LEAST_REPEATS = 6
 # Motions with normalised residuals above this many medians are undetected jumps.
 _OUTLIER = 6.0
-# Information, 1/m^2 or 1/rad^2, that fixes an unobserved direction.
+# Information, 1/m^2 or 1/rad^2, that fixes an unobservable direction.
 _HELD = 1e12
 # Points of the curve of standard deviation over time.
 _CURVE = 24
@@ -192,9 +192,9 @@ def _solve(
 
 
 def _held(observability: Observability) -> FloatArray:
-    """Return the (6, 6) information that fixes unobserved directions at the answer.
+    """Return the (6, 6) information that fixes unobservable directions at the answer.
 
-    Otherwise noise, which tilts an unobserved direction a little, adds metres to the others.
+    Otherwise noise, which tilts an unobservable direction a little, adds metres to the others.
     """
     held = np.zeros((6, 6))
     for item in observability.weak_axes:

@@ -37,14 +37,14 @@ class Mounted(NamedTuple):
 
     @property
     def unobserved(self) -> list[str]:
-        """Return the unobserved components of the translation."""
+        """Return the unobservable components of the translation."""
         return [axis for axis in 'xyz' if self.status[axis] == UNOBSERVED]
 
 
 def sensor_views(sensors: Sequence[Mounted]) -> list[Figure]:
     """Return views of sensors along z, y and x of the frame of the first one."""
     known = np.array([[axis not in sensor.unobserved for axis in 'xyz'] for sensor in sensors])
-    # An unobserved component is drawn at 0, without an ellipse.
+    # An unobservable component is drawn at 0, without an ellipse.
     places = np.where(known, [sensor.T[:3, 3] for sensor in sensors], 0.0)
     P = np.array([sensor.covariance[:3, :3] for sensor in sensors]) * (
         known[:, :, None] & known[:, None, :])

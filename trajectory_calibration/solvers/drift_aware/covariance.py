@@ -13,7 +13,7 @@ from trajectory_calibration.solvers.drift_aware.spread import BLOCKS, scatter, w
 
 
 def _inverse(bread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pseudo-inverse, and the covariance of unobserved directions: a kilometre.
+    """Return the pseudo-inverse, and the covariance of unobservable directions: a kilometre.
 
     Their information is below 1e-11 of that of the others, which is rounding.
     """

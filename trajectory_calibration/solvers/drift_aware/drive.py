@@ -230,7 +230,7 @@ def prior_precision(terms: FloatArray, modes: Mapping[str, str]) -> FloatArray:
     ``2 / (g^2 + x^2)`` that touches it at x, so iterating on parabolas descends. The curvature is
     zero for 'estimate' and infinite for 'fixed'.
     """
-    # A very weak prior of the extrinsic, a kilometre and any angle: unobserved directions stay
+    # A very weak prior of the extrinsic, a kilometre and any angle: unobservable directions stay
     # finite and have a large covariance.
     of_extrinsic = np.repeat([1e-6, 1e-2], 3)
     precision = np.concatenate([of_extrinsic, 2.0 / (HALF_WIDTH**2 + terms**2)])

@@ -139,7 +139,7 @@ def saturation(octaves: Octaves, prior: FloatArray, terms: FloatArray) -> float:
     v = 1.0 + octaves.n * _GRID[:, None]**2
     A = np.tensordot(1 / v, octaves.A, axes=1) + np.diag(prior)
     g = (1 / v) @ apply(octaves.Q, octaves.score) + prior * terms
-    # Columns that are fixed or unobserved do not count.
+    # Columns that are fixed or unobservable do not count.
     dial = 1 / np.sqrt(np.maximum(np.einsum('gii->gi', A), 1e-300))
     A = A * dial[:, :, None] * dial[:, None, :] + 1e-12 * np.eye(PARAMETERS)
     g = g * dial
