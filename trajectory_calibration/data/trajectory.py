@@ -193,7 +193,7 @@ class Trajectory:
         """Return the number of steps in a time, at least one."""
         return max(1, round(time_ns / self.usual_step_ns))
 
-    @property
+    @cached_property
     def longest_step_ns(self) -> float:
         """Return the length, nanoseconds, beyond which a step is a gap."""
         return longest_step_ns(self.stamps_ns)

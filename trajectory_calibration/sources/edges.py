@@ -137,7 +137,7 @@ def fault_words(refused: Iterable[int]) -> str:
     return ', '.join(f'{count} {why}' for count, why in zip(refused, FAULTS, strict=True) if count)
 
 
-def longest_step_ns(stamps_ns: NDArray[np.int64]) -> float:
+def longest_silence_ns(stamps_ns: NDArray[np.int64]) -> float:
     """Return the longest step, nanoseconds, of (N,) stamps that is not a gap."""
     median_ns = float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else 0.0
     return max(_GAP_NS, _GAP_FACTOR * median_ns)
@@ -155,7 +155,7 @@ def interpolated(
     before = np.maximum(np.searchsorted(stamps_ns, at_ns, side='right') - 1, 0)
     step = stamps_ns[after] - stamps_ns[before]
     inside = (at_ns >= stamps_ns[0]) & (at_ns <= stamps_ns[-1])
-    valid: NDArray[np.bool_] = inside & (step <= longest_step_ns(stamps_ns))
+    valid: NDArray[np.bool_] = inside & (step <= longest_silence_ns(stamps_ns))
     fraction = (np.where(inside, at_ns - stamps_ns[before], 0) / np.maximum(step, 1))[:, None]
     start, end = matrices(poses[before]), matrices(poses[after])
     R = start[:, :3, :3]

@@ -26,7 +26,7 @@ from trajectory_calibration.sources.edges import (
     Edge,
     fault_words,
     interpolated,
-    longest_step_ns,
+    longest_silence_ns,
     matrices,
 )
 
@@ -261,7 +261,7 @@ class ChainFollower:
         newest_ns = max(int(stamps_ns[-1]) for stamps_ns in moving.values())
         return ', '.join(sorted(
             str(edge) for edge, stamps_ns in moving.items()
-            if newest_ns - int(stamps_ns[-1]) > longest_step_ns(stamps_ns)))
+            if newest_ns - int(stamps_ns[-1]) > longest_silence_ns(stamps_ns)))
 
 
 def names_frames(name: str) -> bool:
