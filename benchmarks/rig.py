@@ -28,7 +28,7 @@ from trajectory_calibration.geometry import se3
 from trajectory_calibration.rig import calibrate_rig, RigConfig, SensorSettings
 from trajectory_calibration.rig.noise import covariances, sensor_variances
 from trajectory_calibration.rig.pairs import calibrate_pairs
-from trajectory_calibration.rig.windows import common_grid, Track, window_levels
+from trajectory_calibration.rig.windows import base_track, Clock, common_grid, window_levels
 from trajectory_calibration.simulation.noise import Noise
 from trajectory_calibration.simulation.scenario import Sensor
 from trajectory_calibration.sources.files import FileSource
@@ -167,12 +167,12 @@ def bound(
     """
     found = []
     for seed in seeds:
-        run = simulate_rig(scenario(sensors, duration, outages=outages, base=base), seed)
+        vehicle = scenario(sensors, duration, outages=outages, base=base)
+        run = simulate_rig(vehicle, seed)
         X = np.stack(list(run.T_base_sensor.values()))
-        clocks = scenario(sensors, duration, outages=outages, base=base).sensors
-        tracks = [Track(
-            track.stamps_ns - round(1e9 * clocks[name].clock_offset),
-            track.scaled(1 / clocks[name].noise.scale).poses @ se3.inverse(x))
+        tracks = [
+            base_track(track, Clock(-vehicle.sensors[name].clock_offset),
+                       1 / vehicle.sensors[name].noise.scale, x)
             for (name, track), x in zip(run.trajectories.items(), X, strict=True)]
         levels = window_levels(common_grid(tracks, 500_000_000))
         noise = covariances(sensor_variances(levels, X), X)

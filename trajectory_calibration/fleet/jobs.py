@@ -152,8 +152,8 @@ def _from_yaml(
     jobs = []
     for item in data['jobs']:
         given = item if isinstance(item, Mapping) else {'bag': item}
+        _check(given, path)
         merged = {**common, **given}
-        _check(merged, path)
         merged['config'] = CalibrationConfig.from_dict({
             **config.to_dict(), **(common.get('config') or {}), **(given.get('config') or {})})
         jobs.append(_from_mapping(path.parent, merged))

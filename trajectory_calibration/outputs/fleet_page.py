@@ -12,6 +12,7 @@ import numpy as np
 
 from trajectory_calibration.assessment.observability import (
     DEGREES_OF_FREEDOM,
+    deviations_of,
     OBSERVED,
     UNOBSERVED,
     WEAK,
@@ -69,7 +70,7 @@ def _charts(comparison: Comparison, results: Sequence[CalibrationResult]) -> lis
         np.array([TO_DEGREES * (origin + se3.step_between(base, item.T_a_b)) for item in items])
         for items in (results, stretches))
     std = TO_DEGREES * [np.zeros(6) if item.std is None else item.std for item in results]
-    mean_std = [TO_DEGREES * np.sqrt(np.diagonal(item.covariance)) for item in stretches]
+    mean_std = [deviations_of(item.covariance) for item in stretches]
     x = _date_coordinates(results)
     # Boundaries of the stretches.
     edges = np.concatenate([[-0.05], 0.5 * (x[1:] + x[:-1]), [1.05]])[

@@ -24,7 +24,12 @@ from trajectory_calibration.errors import SolverError
 from trajectory_calibration.geometry import se3
 from trajectory_calibration.geometry.observed import misfit, whitener
 from trajectory_calibration.geometry.se3 import FloatArray
-from trajectory_calibration.rig.shared_noise import half_shared, root_of, with_own_share
+from trajectory_calibration.rig.shared_noise import (
+    half_shared,
+    incidence,
+    root_of,
+    with_own_share,
+)
 
 _MAX_STEPS = 50
 _CONVERGED = 1e-13
@@ -190,8 +195,7 @@ def fuse_numbers(
     ``values`` are ``child - parent``, ``stds`` (P,) their standard deviations. The noise of the
     base is in every pair, so no result is more certain than the pair of its sensor with the base.
     """
-    i, j = np.array(pairs, dtype=np.intp).T
-    A = (np.eye(sensors)[j] - np.eye(sensors)[i])[:, 1:]
+    A = incidence(sensors, pairs).T[:, 1:]
     weights = np.linalg.pinv(A / stds[:, None]) / stds
     rows = weights * stds
     result_stds = np.insert(np.sqrt(np.einsum(

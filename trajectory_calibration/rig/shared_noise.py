@@ -46,19 +46,19 @@ def joint_covariance(
     ``noise`` (T, S, 6, 6) are covariances of the differences by level and sensor; ``pairs`` (P,)
     are the indices of parent and child.
     """
-    incidence = _incidence(noise.shape[1], pairs)
-    shared = incidence.T @ incidence
+    signs = incidence(noise.shape[1], pairs)
+    shared = signs.T @ signs
     # The prior of the extrinsics is shared between pairs, too.
     bread = np.broadcast_to(np.diag(0.5 / _PRIOR_STD**2), (len(pairs), 6, 6)).copy()
     meat = np.einsum('pq,ab->paqb', shared, np.diag(0.25 / _PRIOR_STD**2))
     for level, N in zip(levels, noise, strict=True):
-        K = np.linalg.inv(np.tensordot(np.abs(incidence), N, (0, 0)))
+        K = np.linalg.inv(np.tensordot(np.abs(signs), N, (0, 0)))
         seen = level.known[np.array(pairs)].all(axis=1)
         weighted = seen[:, :, None, None] * (K[:, None] @ level.jacobian)
         bread += np.tensordot(weighted, level.jacobian, ((1, 2), (0, 1)))
         for sensor, root in enumerate(np.linalg.cholesky(N)):
-            mine = np.flatnonzero(incidence[sensor])
-            score = incidence[sensor, mine, None, None, None] * (root.T @ weighted[mine])
+            mine = np.flatnonzero(signs[sensor])
+            score = signs[sensor, mine, None, None, None] * (root.T @ weighted[mine])
             meat[np.ix_(mine, _ALL, mine, _ALL)] += np.tensordot(score, score, ((1, 2), (1, 2)))
     inverse = np.linalg.inv(bread)
     M = np.einsum('pab,pbqc,qdc->paqd', inverse, meat, inverse, optimize=True)
@@ -66,7 +66,7 @@ def joint_covariance(
     return M
 
 
-def _incidence(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
+def incidence(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Return (S, P): +1 if a sensor is the child of a pair, -1 for the parent, otherwise 0."""
     i, j = np.array(pairs, dtype=np.intp).T
     return np.eye(sensors)[:, j] - np.eye(sensors)[:, i]
@@ -101,8 +101,8 @@ def twist_to_step(X_i: FloatArray, X_j: FloatArray) -> FloatArray:
 
 def half_shared(sensors: int, pairs: Sequence[tuple[int, int]]) -> FloatArray:
     """Return (P, P) correlations if each sensor causes half of the variance of its pairs."""
-    incidence = _incidence(sensors, pairs)
-    shared: FloatArray = 0.5 * incidence.T @ incidence
+    signs = incidence(sensors, pairs)
+    shared: FloatArray = 0.5 * signs.T @ signs
     return shared
 
 

@@ -82,7 +82,7 @@ def track_figures(data: ReportData) -> list[Figure]:
 
 
 def _over_time(tracks: Tracks, values: FloatArray, unit: str) -> Plot:
-    seconds, jumps = tracks.seconds, tracks.largest_jumps()
+    seconds, jumps = tracks.seconds, tracks.largest_jumps
     driven = [(at, f'{label(at)} s\n{metres(np.interp(at, seconds, tracks.path_m))}')
               for at in ticks(0.0, seconds[-1], 4)]
     plot = Plot((0.0, seconds[-1]), from_zero(values), y_label=unit, x_ticks=driven)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.seconds)
 
+    @cached_property
     def largest_jumps(self) -> Indices:
         """Return the indices of the ``MOST_JUMPS`` largest jumps, in the order of time."""
         differences = np.diff(self.pairs.poses_a[:, :3, 3], axis=0) - np.diff(

@@ -10,7 +10,7 @@ import numpy as np
 
 from trajectory_calibration.geometry.se3 import FloatArray
 from trajectory_calibration.outputs.report.figures import evenly, Scene
-from trajectory_calibration.outputs.report.tracks import Tracks
+from trajectory_calibration.outputs.report.tracks import Indices, Tracks
 
 # Most poses of a track.
 _POSES = 900
@@ -24,7 +24,7 @@ def track_view(tracks: Tracks) -> str:
     names, R = upright(tracks.pairs.poses_a[:, :3, 3])
     a, c = (poses[:, :3, 3] @ R.T for poses in (tracks.pairs.poses_a, tracks.poses_c))
     # Both ends of each jump and gap are kept.
-    ends = np.concatenate([tracks.largest_jumps(), tracks.gaps[:_MOST_GAPS]])
+    ends = np.concatenate([tracks.largest_jumps, tracks.gaps[:_MOST_GAPS]])
     ends = np.clip(np.add.outer([-1, 0, 1], ends).ravel(), 0, len(a) - 1)
     keep = np.union1d(evenly(len(a), _POSES), ends)
     middle, size = a[keep].mean(axis=0), max(np.ptp(a[keep], axis=0).max(), 1e-6)
@@ -33,7 +33,7 @@ def track_view(tracks: Tracks) -> str:
     words = json.dumps({
         'a': np.round(a[keep] - middle, digits).tolist(),
         'b': np.round(c[keep] - middle, digits).tolist(),
-        'jumps': np.round(c[tracks.largest_jumps()] - middle, digits).tolist(),
+        'jumps': np.round(c[tracks.largest_jumps] - middle, digits).tolist(),
         'gaps': np.searchsorted(keep, tracks.gaps).tolist(), 'axes': names,
     }, separators=(',', ':'))
     drawn = _from_above(a[:, :2], c[:, :2], keep, tracks).svg('both tracks from above')
@@ -53,7 +53,7 @@ def upright(positions: FloatArray) -> tuple[list[str], FloatArray]:
     return ['xyz'[k] for k in order], np.eye(3)[order]
 
 
-def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) -> Scene:
+def _from_above(a: FloatArray, c: FloatArray, keep: Indices, tracks: Tracks) -> Scene:
     """Draw both (K, 2) tracks."""
     scene = Scene.around(np.concatenate([a, c]), WIDE, HIGH)
     # A gap is a dashed line.
@@ -65,7 +65,7 @@ def _from_above(a: FloatArray, c: FloatArray, keep: FloatArray, tracks: Tracks) 
         if len(gaps):
             over = np.stack([points[gaps], points[gaps + 1], broken], axis=1)
             scene.line(over.reshape(-1, 2), f'{style} dashed')
-    for point in c[tracks.largest_jumps()]:
+    for point in c[tracks.largest_jumps]:
         scene.dot(scene.place(point), 3.4, 'jump')
     x, y = at = scene.place(a[0])
     scene.dot(at, 5, 'start')
