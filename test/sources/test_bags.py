@@ -178,6 +178,16 @@ def test_blocks_are_joined(tmp_path):
     assert seen[-1] == (9000, 9000)
 
 
+def test_a_topic_that_is_asked_for_twice_needs_no_transforms(tmp_path):
+    stamps_ns, poses = make_track(5)
+    with BagFile(tmp_path / 'bag') as bag:
+        for stamp, pose in zip(stamps_ns, poses, strict=True):
+            bag.add('/pose', bag.messages.pose(stamp, pose), stamp)
+    with open_bags([tmp_path / 'bag']) as reader:
+        found = reader.read(['/pose', '/pose'])
+    _expect(found['/pose'].to_trajectory(), stamps_ns, poses)
+
+
 def test_headers_without_stamps_fall_back_to_the_time_of_reception(tmp_path):
     stamps_ns, poses = make_track(5)
     with BagFile(tmp_path / 'bag') as bag:

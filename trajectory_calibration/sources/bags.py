@@ -128,8 +128,9 @@ class BagReader:
                 raise self._topic_error(fault)
         types = {channel.topic: channel.msgtype for channel in self.channels
                  if channel.topic in topics.values()}
-        transforms = self._transform_topics() if len(topics) < len(names) else []
-        if len(topics) < len(names) and not transforms:
+        of_frames = any(map(names_frames, names))
+        transforms = self._transform_topics() if of_frames else []
+        if of_frames and not transforms:
             raise self._topic_error('no topic of transforms (/tf)')
         found = self._gather(types | dict.fromkeys(transforms, TF), progress)
         result = {}
